@@ -1,6 +1,7 @@
-//! Cost of terrain shadows: `cargo run -p tombolo-client --example shadow_cost -- [CAMERA] [AZIMUTH]`.
-//! For several heights of the sun, milliseconds of tracing one chunk and of one frame, and the
-//! shares of dark and penumbra vertices.
+//! Cost of terrain shadows:
+//! `cargo run -p tombolo-client --example shadow_cost -- [CAMERA] [AZIMUTH]`. For several heights
+//! of the sun, milliseconds of tracing one chunk and of one frame, and the shares of dark and
+//! penumbra vertices.
 
 use client::camera::Projection;
 use client::features::terrain::pool::ChunkPool;

@@ -283,7 +283,8 @@ impl Orbit {
     /// Steepest direction from the eye to the centre, degrees: a steeper pose turns to it.
     const STEEPEST_DEG: f64 = 80.0;
 
-    /// The orbit through a pose around the point that it looks towards, `ahead_m` away horizontally.
+    /// The orbit through a pose around the point that it looks towards, `ahead_m` away
+    /// horizontally.
     #[must_use]
     pub fn through(pose: &Pose, ahead_m: f64) -> Self {
         let level = DVec3::new(pose.yaw_deg.to_radians().sin(), 0.0, -pose.yaw_deg.to_radians().cos());

@@ -84,16 +84,16 @@ impl ViewParams {
             let parent = drawn.key.parent().and_then(|parent| cache.get(parent)).unwrap_or(chunk);
             let before = instances.len();
             let whole = frustum.may_intersect(&eye, drawn.key.origin(), drawn.key.side(), chunk, parent);
-            let parts = if drawn.seams.is_halved { &QUARTERS[..1] } else { &QUARTERS };
+            let parts = if drawn.seams.is_decimated { &QUARTERS[..1] } else { &QUARTERS };
             for quarter in parts.iter().copied().filter(|_| whole) {
                 let (corner, side) = quarter_of(drawn.key, quarter);
-                if drawn.seams.is_halved || frustum.may_intersect(&eye, corner, side, chunk, parent) {
+                if drawn.seams.is_decimated || frustum.may_intersect(&eye, corner, side, chunk, parent) {
                     instances.push(terrain_instance(&eye, drawn, quarter, chunk, parent));
                 }
             }
             let is_visible = instances.len() > before;
             chunks += usize::from(is_visible);
-            let page = Page { key: drawn.key, slot: chunk.slot, top: chunk.max };
+            let page = Page { key: drawn.key, slot: chunk.slot, max_height: chunk.max };
             candidates.push(Candidate { page, is_visible });
         }
         let uniforms = self.uniforms(scene, &eye);
@@ -274,7 +274,7 @@ mod tests {
             let selection = select(&mut cache, &view.viewer());
             let frame = view.frame(Scene::Island, &cache, &selection);
             let quarters = |instance: &TerrainInstance| {
-                let is_decimated_chunk = instance.words.inside & ChunkWords::HALVED != 0;
+                let is_decimated_chunk = instance.words.inside & ChunkWords::DECIMATED != 0;
                 let first = instance.words.place >> 10;
                 (if is_decimated_chunk { 0..4 } else { first..first + 1 })
                     .map(|quarter| (instance.words.slot, quarter))

@@ -57,8 +57,8 @@ impl Frustum {
         self.may_hold(relative(low) - DVec3::ONE, relative(high) + DVec3::ONE)
     }
 
-    /// Whether a box may intersect the frustum; its corners from the eye, in any unit. Conservative:
-    /// true in doubt.
+    /// Whether a box may intersect the frustum; its corners from the eye, in any unit.
+    /// Conservative: true in doubt.
     #[must_use]
     pub fn may_hold(&self, low: DVec3, high: DVec3) -> bool {
         self.normals.iter().all(|normal| {

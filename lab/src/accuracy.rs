@@ -2,8 +2,8 @@
 //!
 //! Rendering: levels of detail ([`lod`]), waves ([`water`]), reflection ([`brdf`]), repetition of
 //! materials ([`tiling`]), their filter ([`anisotropy`]), parallax occlusion mapping ([`pom`],
-//! [`pom_pictures`]), occlusion culling ([`mod@culling`]), density of grass ([`grass`]), distances of
-//! trees ([`trees`]).
+//! [`pom_pictures`]), occlusion culling ([`mod@culling`]), density of grass ([`grass`]), distances
+//! of trees ([`trees`]).
 //!
 //! Heightfield: integers against the formula in f64 ([`heightfield`], with its bars), octaves kept
 //! ([`octaves`]), height quantum ([`quantum`]).

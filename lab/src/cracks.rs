@@ -68,7 +68,7 @@ pub enum Fault {
     None,
     /// The third nearest chunk in sight is left out.
     ChunkLeftOut,
-    /// Borders are neither morphed nor welded.
+    /// Borders are neither morphed nor snapped.
     NoSeams,
 }
 
@@ -150,7 +150,7 @@ pub fn count(
         }
         let (shot, frame) = viewpoint.frame(&mut builder, renderer, fault);
         let picture = renderer.picture(&frame)?;
-        let (pixels, magenta) = judge(&shot, &picture, LOWEST_M);
+        let (pixels, magenta) = count_gap_pixels(&shot, &picture, LOWEST_M);
         count.poses += 1;
         count.arriving += usize::from(viewpoint.lost > 0.0);
         count.chunks += frame.chunks;
@@ -214,9 +214,9 @@ impl Viewpoint {
             }
             Fault::NoSeams => {
                 for instance in &mut frame.instances {
-                    // Halved chunks stay so: three quarters of them would be missing altogether.
+                    // Decimated chunks stay so: three quarters of them would be missing altogether.
                     (instance.words.edges, instance.words.corners, instance.words.inside) =
-                        (0, 0, instance.words.inside & ChunkWords::HALVED);
+                        (0, 0, instance.words.inside & ChunkWords::DECIMATED);
                 }
             }
         }
@@ -256,7 +256,7 @@ fn drawn_ceiling(world: &ChunkCache, selection: &Selection, pose: Pose) -> f64 {
 
 /// Pixels that must show land, and how many of them show the backdrop. No land lies deeper than
 /// `lowest_m` below the sea.
-pub fn judge(shot: &ViewParams, picture: &Image, lowest_m: f64) -> (u64, u64) {
+pub fn count_gap_pixels(shot: &ViewParams, picture: &Image, lowest_m: f64) -> (u64, u64) {
     let (pose, projection) = (&shot.pose, &shot.projection);
     let (half_height, aspect) = (projection.half_height(), projection.aspect());
     let drop_m = pose.position_m.y + lowest_m;

@@ -1,10 +1,10 @@
 //! `tombolo-lab stability`: the land at borders of the world and of lattice cells.
 //!
 //! Sweeps every line where an implementation could break and compares every step with a proved
-//! bound ([`bounds`], [`samples`], [`edges`], [`thresholds`], [`continuity`]), checks that seams are
-//! zero at every level and that no height depends on its chunk or grid ([`seams`]), and that chunks
-//! state no smaller error than they have and levels not much larger ones ([`errors`]). Then it shows
-//! what float noise does at the same distances ([`floats`]).
+//! bound ([`bounds`], [`samples`], [`edges`], [`thresholds`], [`continuity`]), checks that seams
+//! are zero at every level and that no height depends on its chunk or grid ([`seams`]), and that
+//! chunks state no smaller error than they have and levels not much larger ones ([`errors`]). Then
+//! it shows what float noise does at the same distances ([`floats`]).
 //!
 //! Every sweep also runs on a control that must fail; a control that passes is an error.
 
@@ -36,7 +36,8 @@ use terrain::{Land, Position};
 /// Options of `stability`.
 #[derive(Clone, Debug, clap::Args)]
 pub struct Options {
-    /// Worlds to sweep, seeds 0 to N - 1, 1 to 1000, and always those of the seeds 2^63 and 2^64 - 1
+    /// Worlds to sweep, seeds 0 to N - 1, 1 to 1000, and always those of the seeds 2^63 and
+    /// 2^64 - 1
     #[arg(long, value_name = "N", default_value_t = 8,
           value_parser = clap::value_parser!(u32).range(1..=1000))]
     pub worlds: u32,

@@ -23,13 +23,13 @@ use wgpu::util::DeviceExt as _;
 
 const SLOTS: u32 = 1500;
 
-/// Places that are compared, and how far they lie from the middle of their square along either axis,
-/// metres.
+/// Places that are compared, and how far they lie from the middle of their square along either
+/// axis, metres.
 pub const PLACES: u32 = 8000;
 const HALF_M: f32 = 90.0;
 
-/// Lines of a picture whose far trees are known one by one, and how far away the middle of the square
-/// lies then, metres.
+/// Lines of a picture whose far trees are known one by one, and how far away the middle of the
+/// square lies then, metres.
 const FAR_LINES: u32 = 1080;
 const FAR_M: [f32; 3] = [700.0, 850.0, 1000.0];
 
@@ -39,8 +39,8 @@ const CASTS_M: f32 = 300.0;
 /// Difference of the share of the sun from which on a place, or the mean of a block, is wrong.
 pub const WRONG: f32 = 0.1;
 
-/// Blocks along a side of the square of places: 30 m wide. Where trees are not known one by one, the
-/// mean of a block is what shadows can be compared by.
+/// Blocks along a side of the square of places: 30 m wide. Where trees are not known one by one,
+/// the mean of a block is what shadows can be compared by.
 const BLOCKS: usize = 6;
 
 /// A vector, metres or unit.
@@ -311,8 +311,8 @@ fn truth(trees: &[Caster], place: Vec3, sun: Vec3) -> f32 {
     let flat = sun[0].hypot(sun[2]);
     let side = [-sun[2] / flat, 0.0, sun[0] / flat];
     let above = [-sun[0] * sun[1] / flat, flat, -sun[2] * sun[1] / flat];
-    // Crowns reach less than 6 m, and rays of the disc climb at most 0.02 less than the middle one up to
-    // 60 degrees: no other tree is met by any of them.
+    // Crowns reach less than 6 m, and rays of the disc climb at most 0.02 less than the middle one
+    // up to 60 degrees: no other tree is met by any of them.
     let climb = sun[1] / flat - 0.02;
     let near: Vec<&Caster> = trees
         .iter()

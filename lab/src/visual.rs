@@ -1,19 +1,19 @@
 //! `tombolo-lab visual`: what a person would notice in pictures of the land.
 //!
 //! Light across borders of chunks (`borders`), the change of shading with the tolerance
-//! (`tolerance`), light in shadow (`shadow`): each with the normals of the land and, as its control,
-//! with those of the drawn triangles. The power spectrum of the ground (`spectrum`), shadows of objects
-//! on floors (`floor_shadow`), near planes under lifted eyes (`lifted`), impostors of trees
-//! (`impostors`), shadows of trees (`tree_shadow`), times of frames (`frame_time`).
-//! `cargo xtask measure visual` compares the figures with their bars; here only a control that passes
-//! is an error.
+//! (`tolerance`), light in shadow (`shadow`): each with the normals of the land and, as its
+//! control, with those of the drawn triangles. The power spectrum of the ground (`spectrum`),
+//! shadows of objects on floors (`floor_shadow`), near planes under lifted eyes (`near_plane`),
+//! impostors of trees (`impostors`), shadows of trees (`tree_shadow`), times of frames
+//! (`frame_time`). `cargo xtask measure visual` compares the figures with their bars; here only a
+//! control that passes is an error.
 
 mod bars;
 mod borders;
 mod floor_shadow;
 mod frame_time;
 mod impostors;
-mod lifted;
+mod near_plane;
 mod shadow;
 mod spectrum;
 mod tolerance;
@@ -54,7 +54,7 @@ struct Report {
     /// Pixels of all pictures above with light that is no finite number.
     unlit: u64,
     floor: floor_shadow::FloorShadow,
-    lifted: lifted::Lifted,
+    lifted: near_plane::Lifted,
     impostors: impostors::Impostors,
     tree_shadow: tree_shadow::TreeShadow,
     frame_time: frame_time::FrameTime,
@@ -80,7 +80,7 @@ pub fn run(options: &Options, outputs: &Outputs) -> Result<()> {
     note("shadows on floors");
     let floor = floor_shadow::measure()?;
     note("lifted eyes");
-    let lifted = lifted::measure(&land, EYES * options.poses / POSES)?;
+    let lifted = near_plane::measure(&land, EYES * options.poses / POSES)?;
     note("impostors");
     let impostors = impostors::measure(&land, options.poses.div_ceil(4))?;
     note("shadows of trees");
@@ -108,7 +108,7 @@ pub fn run(options: &Options, outputs: &Outputs) -> Result<()> {
     );
     ensure!(report.tolerance.mesh > report.tolerance.land, "light of drawn triangles ignores the tolerance");
     ensure!(report.floor.control > report.floor.wrong, "shadows moved by 0.3 m are not seen");
-    ensure!(report.lifted.magenta_before > 0, "no near plane cuts the land by the vertical rule");
+    ensure!(report.lifted.magenta_control > 0, "no near plane cuts the land by the vertical rule");
     ensure!(
         report.impostors.without > report.impostors.flip,
         "impostors are no nearer to trees than no trees"

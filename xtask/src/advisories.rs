@@ -1,8 +1,8 @@
 //! `advisories`: known vulnerabilities of the dependencies, by a dated snapshot of RustSec's
 //! database.
 //!
-//! The snapshot holds the advisories of the crates in `Cargo.lock` and the names of those crates, so
-//! that a crate that came later is an error and not a pass. `cargo deny` judges: the snapshot is
+//! The snapshot holds the advisories of the crates in `Cargo.lock` and the names of those crates,
+//! so that a crate that came later is an error and not a pass. `cargo deny` judges: the snapshot is
 //! unpacked as its database. RustSec's data is CC0-1.0; an advisory that states another licence
 //! keeps that statement and its source.
 
@@ -15,7 +15,8 @@ use std::path::Path;
 /// The snapshot, from the root of the repository.
 const SNAPSHOT: &str = ".ci/advisories.txt";
 
-/// The folder in which `cargo deny` looks for RustSec's database: its name and a hash of its address.
+/// The folder in which `cargo deny` looks for RustSec's database: its name and a hash of its
+/// address.
 const FOLDER: &str = "advisory-db-3157b0e258782691";
 
 /// Prefix of the path of an advisory in the snapshot.
@@ -25,7 +26,7 @@ const ENTRY: &str = "=== ";
 const MOST_DAYS: i64 = 180;
 
 /// How to replace a snapshot.
-const REDRAW: &str = "redraw it: cargo xtask advisories --update PATH, with PATH a clone of \
+const REGENERATE: &str = "regenerate it: cargo xtask advisories --update PATH, with PATH a clone of \
                       https://github.com/rustsec/advisory-db";
 
 /// Columns of the list of names.
@@ -67,7 +68,7 @@ impl Snapshot {
             snapshot.advisories.insert(path.into(), text.into());
         }
         if snapshot.commit.is_empty() || snapshot.date.is_empty() || snapshot.crates.is_empty() {
-            bail!("{SNAPSHOT} states no commit, date or crates; redraw it with --update");
+            bail!("{SNAPSHOT} states no commit, date or crates; regenerate it with --update");
         }
         Ok(snapshot)
     }
@@ -118,7 +119,7 @@ pub fn check() -> Result<()> {
     let locked = locked(&read("Cargo.lock")?);
     let unknown = unknown(&snapshot, &locked);
     if !unknown.is_empty() {
-        bail!("{SNAPSHOT} does not know {}; {REDRAW}", unknown.join(", "));
+        bail!("{SNAPSHOT} does not know {}; {REGENERATE}", unknown.join(", "));
     }
     reject_old(&snapshot, &machine::today()?)?;
     println!(
@@ -172,7 +173,7 @@ fn unpack(snapshot: &Snapshot, database: &Path) -> Result<()> {
     std::fs::write(database.join(".git/FETCH_HEAD"), "").context("advisories")
 }
 
-/// Redraws the snapshot from a clone of the database, bare or not.
+/// Regenerates the snapshot from a clone of the database, bare or not.
 ///
 /// # Errors
 /// The clone cannot be read, has no advisories of our crates, or is older than the snapshot.
@@ -211,12 +212,12 @@ pub fn update(clone: &Path) -> Result<()> {
     Ok(())
 }
 
-/// A snapshot that was not redrawn for long passes whatever was found since.
+/// A snapshot that was not regenerated for long passes whatever was found since.
 fn reject_old(snapshot: &Snapshot, today: &str) -> Result<()> {
     let day = |date: &str| day_number(date).with_context(|| format!("`{date}` is no date YYYY-MM-DD"));
     let age = day(today)? - day(&snapshot.date)?;
     if age > MOST_DAYS {
-        bail!("{SNAPSHOT} is of {}, {age} days old, at most {MOST_DAYS}; {REDRAW}", snapshot.date);
+        bail!("{SNAPSHOT} is of {}, {age} days old, at most {MOST_DAYS}; {REGENERATE}", snapshot.date);
     }
     Ok(())
 }

@@ -34,8 +34,8 @@ type Contents = BTreeMap<String, String>;
 /// Shows what the comparing tests find; with `writes`, reruns them so that they write instead.
 ///
 /// # Errors
-/// Without `writes`, something differs. Else a test that fails although it was allowed to write, or a
-/// fixture that changed without a version; it is then as before.
+/// Without `writes`, something differs. Else a test that fails although it was allowed to write, or
+/// a fixture that changed without a version; it is then as before.
 pub fn run(what: What, writes: bool) -> Result<()> {
     let before = fixtures(&process::root().join(FIXTURES))?;
     let tests = || {

@@ -5,7 +5,8 @@ use crate::process;
 use anyhow::{Context, Result, bail};
 use std::collections::BTreeSet;
 
-/// Crates on which one crate must never depend, directly or not. Tests may; users never build those.
+/// Crates on which one crate must never depend, directly or not. Tests may; users never build
+/// those.
 struct Rule {
     /// Without the prefix.
     package: &'static str,

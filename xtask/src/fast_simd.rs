@@ -1,6 +1,6 @@
-//! The sources of FastSIMD, which the CMake files of FastNoise2 download from GitHub in the middle of
-//! a build. They are fetched here before it, so that a network that does not answer is a missing tool
-//! and not a broken build.
+//! The sources of FastSIMD, which the CMake files of FastNoise2 download from GitHub in the middle
+//! of a build. They are fetched here before it, so that a network that does not answer is a missing
+//! tool and not a broken build.
 
 use crate::process;
 use anyhow::{Context, Result, bail};
@@ -10,8 +10,8 @@ use std::process::Command;
 /// Where the sources are; the CMake files clone the same with the suffix `.git`.
 const URL: &str = "https://github.com/Auburn/FastSIMD";
 
-/// The commit that they check out, of `fastnoise2-sys` 0.2.0. A newer crate that asks for another one
-/// fails its build here, so this line is then changed.
+/// The commit that they check out, of `fastnoise2-sys` 0.2.0. A newer crate that asks for another
+/// one fails its build here, so this line is then changed.
 const COMMIT: &str = "16450dae9528727e500e7254f635a671f9c7ee2d";
 
 /// Where the clone lies.
@@ -63,7 +63,8 @@ fn has_sources(folder: &Path, commit: &str) -> bool {
     process::succeeds(git)
 }
 
-/// For a command that builds FastNoise2: its `git` reads [the clone](fetch) in place of the network.
+/// For a command that builds FastNoise2: its `git` reads [the clone](fetch) in place of the
+/// network.
 pub fn use_clone(build: &mut Command) {
     // Replaces what the environment configures of git: the build clones nothing else.
     build.env("GIT_CONFIG_COUNT", "1");

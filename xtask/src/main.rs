@@ -47,7 +47,7 @@ enum Command {
     Ci(ci::Options),
     /// Check the dependencies against a dated snapshot of known vulnerabilities
     Advisories {
-        /// A clone of RustSec's database, bare or not: redraw the snapshot from it
+        /// A clone of RustSec's database, bare or not: regenerate the snapshot from it
         #[arg(long)]
         update: Option<std::path::PathBuf>,
     },

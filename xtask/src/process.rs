@@ -63,16 +63,16 @@ fn built(folder: &str, name: &str) -> PathBuf {
     triple().map_or_else(target, |triple| target().join(triple)).join(folder).join(name)
 }
 
-/// The target that a person has configured, by `build.target` or its variable; none without one. Cargo
-/// has put this program into a folder of that name. What it builds without one lies elsewhere, and no
-/// option switches a configured one off, so each build names it.
+/// The target that a person has configured, by `build.target` or its variable; none without one.
+/// Cargo has put this program into a folder of that name. What it builds without one lies
+/// elsewhere, and no option switches a configured one off, so each build names it.
 fn triple() -> Option<&'static str> {
     static TRIPLE: OnceLock<Option<String>> = OnceLock::new();
     TRIPLE.get_or_init(|| triple_of(&std::env::current_exe().ok()?, &target(), is_triple)).as_deref()
 }
 
-/// The target of a program by the folder around its profile's folder, unless that is the folder of all
-/// build results.
+/// The target of a program by the folder around its profile's folder, unless that is the folder of
+/// all build results.
 fn triple_of(program: &Path, target: &Path, is_triple: impl Fn(&str) -> bool) -> Option<String> {
     let folder = program.parent()?.parent().filter(|folder| *folder != target)?;
     let name = folder.file_name()?.to_str()?;
@@ -109,8 +109,8 @@ pub fn build_tested(programs: &[&str]) -> Command {
     compile("build", "dev", programs, triple())
 }
 
-/// As [`build`], with a viewer that only draws into files: the window is half of what a viewer takes
-/// to build.
+/// As [`build`], with a viewer that only draws into files: the window is half of what a viewer
+/// takes to build.
 pub fn build_without_window(programs: &[&str]) -> Command {
     without_window(build(programs))
 }

@@ -81,8 +81,8 @@ impl Server {
         let _ = self.child.wait();
     }
 
-    /// Asks it to end, as an operator would; the time until its process has ended, none if it had to
-    /// be killed or failed.
+    /// Asks it to end, as an operator would; the time until its process has ended, none if it had
+    /// to be killed or failed.
     pub fn terminate(&mut self) -> Option<Duration> {
         let started = Instant::now();
         process::stop(&mut self.child, DRAIN_WITHIN);

@@ -16,8 +16,8 @@ pub enum Extent {
     Headless,
     /// Windows too.
     Everything,
-    /// As [`Extent::Headless`], and what `ci` looks with: a browser, Node, compilers. What cannot be
-    /// installed of these is mentioned; `ci` lists the checks that it skips for it.
+    /// As [`Extent::Headless`], and what `ci` looks with: a browser, Node, compilers. What cannot
+    /// be installed of these is mentioned; `ci` lists the checks that it skips for it.
     Checks,
 }
 
@@ -154,8 +154,8 @@ fn install(extent: Extent, is_wanted: fn(&Need) -> bool) -> Result<()> {
     }
 }
 
-/// Installs packages by command lines of apt-get and returns those that it refuses. All at once; one
-/// by one where that fails, since one name that a system does not know keeps all others away.
+/// Installs packages by command lines of apt-get and returns those that it refuses. All at once;
+/// one by one where that fails, since one name that a system does not know keeps all others away.
 ///
 /// # Errors
 /// The lists of packages cannot be read again.

@@ -34,7 +34,8 @@ pub struct Resident {
     pub minima: [i32; BLOCK_TEXELS],
     /// Vegetation densities.
     pub grass: GrassSeed,
-    /// Bound of the vertical error against level 0, units; without the rounding of quantised chunks.
+    /// Bound of the vertical error against level 0, units; without the rounding of quantised
+    /// chunks.
     pub error: u32,
     /// Lowest vertex, units.
     pub min: i32,
@@ -239,8 +240,8 @@ impl ChunkCache {
         histogram
     }
 
-    /// Height of the finest ground that can be drawn at a place (units), units: a resident chunk without
-    /// its siblings is not drawn, its parent is.
+    /// Height of the finest ground that can be drawn at a place (units), units: a resident chunk
+    /// without its siblings is not drawn, its parent is.
     #[must_use]
     pub fn ground(&self, x: i32, z: i32) -> Option<i32> {
         let is_divisible = |key: &ChunkKey| {

@@ -1,5 +1,5 @@
-//! The GPU device and what all passes share: pipelines, bind groups, buffers, render targets, timestamps,
-//! read-back.
+//! The GPU device and what all passes share: pipelines, bind groups, buffers, render targets,
+//! timestamps, read-back.
 
 pub mod bind;
 pub mod buffer;

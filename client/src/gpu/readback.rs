@@ -1,9 +1,9 @@
 //! Read-back: copies from the GPU to the CPU.
 //!
 //! Three steps: record a copy into a staging buffer, [`Readback::start`] the mapping after the
-//! submission, then [`PendingRead::poll`] until [`PendingRead::result`] has the bytes. Work without a
-//! result for the CPU is polled as [`PendingWork`]. A browser cannot block, so a blocking wait exists
-//! only on native targets ([`Gpu::read`]).
+//! submission, then [`PendingRead::poll`] until [`PendingRead::result`] has the bytes. Work without
+//! a result for the CPU is polled as [`PendingWork`]. A browser cannot block, so a blocking wait
+//! exists only on native targets ([`Gpu::read`]).
 
 use crate::gpu::buffer::create_buffer;
 use crate::gpu::device::{Gpu, GpuError};

@@ -1,7 +1,7 @@
 //! Replacing a device that was lost or ran out of memory.
 //!
-//! Everything on the GPU is a copy: chunks are in the chunk cache, the rest is computed at start. So
-//! the owner of a renderer makes a new device, a new renderer and uploads the cache again.
+//! Everything on the GPU is a copy: chunks are in the chunk cache, the rest is computed at start.
+//! So the owner of a renderer makes a new device, a new renderer and uploads the cache again.
 
 use crate::gpu::device::{Gpu, GpuError};
 

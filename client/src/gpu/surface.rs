@@ -1,4 +1,4 @@
-//! A window's surface, without sRGB encoding, and all cases without a texture.
+//! Window surface with a non-sRGB format, and handling of every surface-texture error.
 
 use crate::gpu::{Gpu, GpuError};
 
@@ -34,11 +34,11 @@ impl WindowSurface {
                 )
             })?;
         let formats = surface.get_capabilities(&gpu.adapter).formats;
-        let plain = formats.iter().copied().find(|format| {
+        let unorm_format = formats.iter().copied().find(|format| {
             matches!(format, wgpu::TextureFormat::Bgra8Unorm | wgpu::TextureFormat::Rgba8Unorm)
         });
-        if let Some(plain) = plain {
-            config.format = plain;
+        if let Some(unorm_format) = unorm_format {
+            config.format = unorm_format;
         }
         let format = config.format.remove_srgb_suffix();
         if format != config.format {

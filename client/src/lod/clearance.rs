@@ -5,7 +5,7 @@ use crate::camera::{CLEARANCE_M, Pose};
 use crate::lod::Drawn;
 use glam::{DVec2, DVec3};
 use shaders::twin::grid::GridVertex;
-use shaders::twin::morph::{morph_at, morphed, parent_height, welded};
+use shaders::twin::morph::{morph_at, morphed, parent_height, snapped};
 use std::ops::Range;
 use terrain::constants::{CELLS, UNITS_PER_METRE, VERTICES};
 
@@ -39,7 +39,7 @@ pub fn triangles_near(pose: &Pose, cache: &ChunkCache, drawn: &[Drawn], reach_m:
         };
         let parent = drawn.key.parent().and_then(|parent| cache.get(parent));
         let corner = |column: u32, row: u32| {
-            let vertex = welded(&drawn.seams, GridVertex { column, row });
+            let vertex = snapped(&drawn.seams, GridVertex { column, row });
             let along = |low: i32, steps: u32, eye: f64| metres(low) + f64::from(steps) * spacing_m - eye;
             DVec3::new(
                 along(x0, vertex.column, eye.x),

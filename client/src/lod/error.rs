@@ -17,9 +17,9 @@ pub fn tolerance(viewer: &Viewer) -> f64 {
     f64::from(viewer.tolerance())
 }
 
-/// The error of a chunk to select by, units: that of the land's own chunk, or less. A quantised chunk
-/// states the rounding of its heights too, of which a server's selection knows nothing: finer chunks
-/// are rounded alike, so none would be sent for it.
+/// The error of a chunk to select by, units: that of the land's own chunk, or less. A quantised
+/// chunk states the rounding of its heights too, of which a server's selection knows nothing: finer
+/// chunks are rounded alike, so none would be sent for it.
 #[must_use]
 pub fn without_rounding(stated: u32, delivery: Delivery) -> u32 {
     match delivery {

@@ -91,14 +91,14 @@ pub fn stitch(
             || error::parent_error_on_screen(cache, viewer, key, toward)
                 .is_some_and(|error| error <= tolerance)
     };
-    let is_halved = |key: &ChunkKey| {
+    let is_decimated = |key: &ChunkKey| {
         inside[key].is_parent
             && EDGES.into_iter().chain(CORNERS).all(|(east, south)| {
                 let next = key.neighbour(east, south);
                 next.is_none_or(|next| !split.contains(&next) && tolerates(next, (-east, -south)))
             })
     };
-    let decimated: FxHashSet<ChunkKey> = leaves.iter().copied().filter(is_halved).collect();
+    let decimated: FxHashSet<ChunkKey> = leaves.iter().copied().filter(is_decimated).collect();
     let neighbour_at = |key: ChunkKey, (east, south): (i32, i32)| {
         let Some(next) = key.neighbour(east, south) else { return Neighbour::Nothing };
         if let Some(inside) = inside.get(&next) {
@@ -115,7 +115,7 @@ pub fn stitch(
     };
     let stitched = |key: &ChunkKey| {
         if decimated.contains(key) {
-            return Drawn { key: *key, seams: Seams::HALVED };
+            return Drawn { key: *key, seams: Seams::DECIMATED };
         }
         let own = inside[key].morph;
         let around = |direction| neighbour_at(*key, direction);
@@ -126,7 +126,7 @@ pub fn stitch(
         let is_coarser = EDGES.map(|direction| around(direction) == Neighbour::Coarser);
         Drawn {
             key: *key,
-            seams: Seams { inside: quantized(own), edges, corners, is_coarser, is_halved: false },
+            seams: Seams { inside: quantized(own), edges, corners, is_coarser, is_decimated: false },
         }
     };
     leaves.iter().map(stitched).collect()
@@ -213,7 +213,7 @@ mod tests {
     use crate::lod::select;
     use proptest::prelude::*;
     use shaders::twin::grid::GridVertex;
-    use shaders::twin::morph::{morph_at, morphed, parent_height, welded};
+    use shaders::twin::morph::{morph_at, morphed, parent_height, snapped};
     use std::collections::{BTreeMap, BTreeSet, HashSet};
     use std::sync::LazyLock;
     use terrain::constants::VERTICES;
@@ -253,7 +253,7 @@ mod tests {
             _ => GridVertex { column: 0, row: step },
         };
         let point = |step| {
-            let vertex = welded(&drawn.seams, place(step));
+            let vertex = snapped(&drawn.seams, place(step));
             let own = chunk.heights[vertex.row as usize * VERTICES + vertex.column as usize];
             let morph = morph_at(&drawn.seams, vertex);
             let height = if morph == 0 {
@@ -321,7 +321,7 @@ mod tests {
             open == 0 && all > 250 && levels.len() >= 4,
             "{open} of {all} sides are open; levels {levels:?}"
         );
-        let decimated = drawn.iter().filter(|drawn| drawn.seams.is_halved).count();
+        let decimated = drawn.iter().filter(|drawn| drawn.seams.is_decimated).count();
         assert!(decimated > 10, "chunks with their parents' vertices are part of the test: {decimated}");
         let between = |drawn: &Drawn| (1..MORPH_ONE).contains(&drawn.seams.inside);
         assert!(

@@ -178,8 +178,8 @@ pub struct Args {
 
     /// Folder of custom materials: PNG files such as sand_albedo.png, sand_normal.png,
     /// sand_height.png, sand_roughness.png and sand_ao.png, for sand, meadow, dry_grass, thicket,
-    /// cliff, scree and cobbles; a material without any file stays procedural, and a missing file of
-    /// another is named and replaced
+    /// cliff, scree and cobbles; a material without any file stays procedural, and a missing file
+    /// of another is named and replaced
     #[arg(long, value_name = "DIR")]
     pub textures: Option<PathBuf>,
 

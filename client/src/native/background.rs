@@ -1,4 +1,5 @@
-//! One computation on a thread of its own, whose result is polled: what would take longer than a frame.
+//! One computation on a thread of its own, whose result is polled: what would take longer than a
+//! frame.
 
 use anyhow::Context as _;
 use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, sync_channel};

@@ -54,7 +54,8 @@ pub struct PostArgs {
 }
 
 impl PostArgs {
-    /// The settings in a scene, with so many samples per pixel and those of a preset for the others.
+    /// The settings in a scene, with so many samples per pixel and those of a preset for the
+    /// others.
     #[must_use]
     pub fn post_settings(&self, scene: Scene, samples: u32, preset: &Preset) -> PostSettings {
         let has_land = !scene.is_local();

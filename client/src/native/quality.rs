@@ -50,16 +50,16 @@ pub struct Preset {
     pub tree_range_m: f32,
     /// Up to here each tree is culled by itself, metres.
     pub single_trees_m: f32,
-    /// From here on a tree is an impostor, metres. Half of the pixels, half of the distance: the tree
-    /// is as large on screen.
+    /// From here on a tree is an impostor, metres. Half of the pixels, half of the distance: the
+    /// tree is as large on screen.
     pub impostors_from_m: f32,
     /// Visibility test of plants, of the island scene. Where few plants are tested, a test for what
     /// the land hides takes longer than drawing what it would drop.
     pub cull: Cull,
     /// Rendered size over the size of the window. A shot of a software driver has its own size.
     pub render_scale: f32,
-    /// Share of the light that scatters in the lens, of scenes with land. A shot of a software driver
-    /// has that of `medium`.
+    /// Share of the light that scatters in the lens, of scenes with land. A shot of a software
+    /// driver has that of `medium`.
     pub bloom: f32,
     /// Parallax method of waves.
     pub water: WaterTier,

@@ -194,8 +194,8 @@ fn resampled(image: &Pixels, colour: bool) -> Vec<[f32; 3]> {
             std::array::from_fn(|channel| line[at][channel].mul_add(share, sum[channel]))
         })
     };
-    // Along rows, then down columns, so that each pixel is decoded once; a float copy of one row at a
-    // time.
+    // Along rows, then down columns, so that each pixel is decoded once; a float copy of one row at
+    // a time.
     let rows = (0..height).map(|y| {
         let row: Vec<_> = (0..width).map(|x| pixel(x, y)).collect();
         across.iter().map(|taps| weighted(&row, taps)).collect::<Vec<_>>()

@@ -95,8 +95,8 @@ impl Scene {
         }
     }
 
-    /// Start camera in a world. Only the island's depends on it. Finding it takes some 20 ms, rarely
-    /// 0.4 s: not for a frame. It needs the land alone, so any thread or worker can find it.
+    /// Start camera in a world. Only the island's depends on it. Finding it takes some 20 ms,
+    /// rarely 0.4 s: not for a frame. It needs the land alone, so any thread or worker can find it.
     #[must_use]
     pub fn start_in(self, land: &Land) -> Pose {
         if self == Self::Island && land.world_seed() != DEFAULT_WORLD_SEED {

@@ -12,7 +12,7 @@ pub enum StreamEvent {
     Connected {
         /// Digest of the served world.
         world: WorldDigest,
-        /// Stated seed of the world; nothing that is drawn depends on it.
+        /// Seed announced by the server; for display only.
         world_seed: u64,
         /// Name and version of the server, for display.
         server: String,
@@ -24,14 +24,14 @@ pub enum StreamEvent {
         /// The view's id.
         view: u32,
     },
-    /// A chunk was bad or refused: it is drawn coarser, and requested again.
+    /// A chunk was invalid or refused. The parent is drawn and the chunk is requested again.
     Missed {
         /// The chunk; none if a bad frame names no chunk that may arrive.
         key: Option<ChunkKey>,
         /// One sentence.
         detail: String,
     },
-    /// A view was rejected.
+    /// A view was refused.
     Refused {
         /// One sentence.
         detail: String,
@@ -54,7 +54,7 @@ pub struct Traffic {
     pub credits: u32,
     /// Events that wait for [`ChunkStream::poll`].
     pub waiting_events: usize,
-    /// Chunks that were wrong or not asked for, over all sessions.
+    /// Chunks that were invalid or unrequested, over all sessions.
     pub bad_chunks: u64,
     /// Chunks that the server refused, over all sessions.
     pub refused_chunks: u64,
@@ -68,7 +68,7 @@ pub trait ChunkStream {
     fn poll(&mut self) -> Option<StreamEvent>;
     /// Sets the current view; replaces the previous one.
     fn set_view(&mut self, view: View);
-    /// Releases evicted chunks: they may be needed again.
+    /// Tells the server that these chunks were evicted, so that it may send them again.
     fn release(&mut self, keys: &[ChunkKey]);
     /// Reports the resident chunks after a reconnect.
     fn holding(&mut self, keys: &[ChunkKey]);

@@ -20,8 +20,8 @@ pub const MAX_VIEWS: usize = 1024;
 pub struct ExpectedChunks {
     /// Newest last.
     views: VecDeque<SentView>,
-    /// Chunks that were reported to the server as held, or came from it. Cleared when full, as in the
-    /// server.
+    /// Chunks that were reported to the server as held, or came from it. Cleared when full, as in
+    /// the server.
     held: HeldChunks,
 }
 
@@ -100,8 +100,8 @@ impl ExpectedChunks {
     }
 }
 
-/// Checks what no decoder can derive from the heights: the stated error. Heights, extremes and slope
-/// are the decoder's.
+/// Checks what no decoder can derive from the heights: the stated error. Heights, extremes and
+/// slope are the decoder's.
 ///
 /// # Errors
 /// The rule that the chunk breaks.

@@ -287,8 +287,8 @@ impl GuardedSession {
                 trust.surplus()?;
                 Ok(Received::Event(StreamEvent::Refused { detail }))
             }
-            // Ids of requests and of views are apart; a refused request of several chunks has another
-            // reason.
+            // Ids of requests and of views are apart; a refused request of several chunks has
+            // another reason.
             None if matches!(refused.reason, RefusalReason::InvalidView | RefusalReason::Failed)
                 && self.expected.refuse(refused.id) =>
             {

@@ -220,8 +220,8 @@ impl<F: ChunkStream> WorldStreamer<F> {
         }
     }
 
-    /// Sends the view if it changed, the eye came to rest, or it was rejected a while ago. True if the
-    /// server has the current view.
+    /// Sends the view if it changed, the eye came to rest, or it was rejected a while ago. True if
+    /// the server has the current view.
     fn send_view(&mut self, view: &ViewParams, now: Duration) -> bool {
         if !matches!(self.link, Link::Connected(_)) {
             return false;
@@ -251,8 +251,8 @@ impl<F: ChunkStream> WorldStreamer<F> {
         true
     }
 
-    /// The view with the tolerance for chunk selection: errors grow with the vertical scale, and the
-    /// server knows the unscaled land.
+    /// The view with the tolerance for chunk selection: errors grow with the vertical scale, and
+    /// the server knows the unscaled land.
     fn scaled_view(&self, view: &ViewParams) -> ViewParams {
         let times = f64::from(self.vertical_scale) / f64::from(vertical_scale::ONE);
         ViewParams { tolerance_px: self.tolerance_px(view) / times.max(1.0), ..*view }

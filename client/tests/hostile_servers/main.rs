@@ -1,5 +1,6 @@
 //! The viewer against servers that break the rules. Each one ends with a stated reason, or the view
-//! completes once the server is correct; meanwhile chunks, events and texts stay within their bounds.
+//! completes once the server is correct; meanwhile chunks, events and texts stay within their
+//! bounds.
 
 mod server;
 

@@ -23,8 +23,8 @@ const FINER: u32 = 6;
 const ANISOTROPIES: [u16; 5] = [1, 2, 4, 8, 16];
 const SHIPPED: u16 = 8;
 
-/// Camera above a flat floor, degrees, at a distance and from some bearings; the floor is a square of
-/// this side with tiles of 5 m, all in metres.
+/// Camera above a flat floor, degrees, at a distance and from some bearings; the floor is a square
+/// of this side with tiles of 5 m, all in metres.
 const ELEVATIONS_DEG: [f64; 4] = [60.0, 25.0, 12.0, 6.0];
 const BEARINGS_DEG: [f64; 3] = [0.0, 20.0, 45.0];
 const DISTANCE_M: f64 = 20.0;

@@ -132,8 +132,8 @@ enum Standing {
     Free,
     /// Exactly on lines between chunks of a level: east, south or both.
     ChunkBorder { axes: [bool; 2], side_m: f64 },
-    /// Exactly on a line between two chunks of level 1 along an axis, of which one is drawn coarser,
-    /// because its children are absent.
+    /// Exactly on a line between two chunks of level 1 along an axis, of which one is drawn
+    /// coarser, because its children are absent.
     LevelBorder { axis: usize },
 }
 

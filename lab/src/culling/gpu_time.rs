@@ -53,8 +53,8 @@ const SAMPLES: u32 = 4;
 /// Slots of the pool.
 const SLOTS: u32 = 2000;
 
-/// Height of the eye above the start of the scene `grass`, metres, and its pitch, degrees: the ground
-/// hides few clumps.
+/// Height of the eye above the start of the scene `grass`, metres, and its pitch, degrees: the
+/// ground hides few clumps.
 const ABOVE_M: f64 = 40.0;
 const PITCH_DEG: f64 = -14.0;
 

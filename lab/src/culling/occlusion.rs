@@ -109,15 +109,15 @@ pub struct Findings {
     /// the ground is. Land is not drawn from below, so it hides nothing there: these scenes count
     /// for what is lost and not for what is kept.
     pub below_land: u64,
-    /// By kind of scene: `steep` (pitches of no walk), `absent_chunks` (a random share of the chunks
-    /// has not arrived), `chunk_border` and `level_border` (the eye is exactly on one).
+    /// By kind of scene: `steep` (pitches of no walk), `absent_chunks` (a random share of the
+    /// chunks has not arrived), `chunk_border` and `level_border` (the eye is exactly on one).
     pub variations: BTreeMap<&'static str, Variation>,
-    /// By test: `noise` (T2, step of 2 m), `march` (T3 as first published, step of 2 m), `march_fine`
-    /// (step of half a metre), `exact` (T3), `hierarchical` (T4), `grass` and `trees` of it, `bound`
-    /// (T4 where any point of a clump's bound is visible: the tests are conservative for the bound);
-    /// `chunks` of 128 m of grass by T4 (kept if any clump of them is), `chunks_by_blocks` (kept if
-    /// any block of them is), `tree_chunks` and `tree_chunks_by_blocks` likewise, all by
-    /// `five_points`.
+    /// By test: `noise` (T2, step of 2 m), `march` (T3 as first published, step of 2 m),
+    /// `march_fine` (step of half a metre), `exact` (T3), `hierarchical` (T4), `grass` and `trees`
+    /// of it, `bound` (T4 where any point of a clump's bound is visible: the tests are conservative
+    /// for the bound); `chunks` of 128 m of grass by T4 (kept if any clump of them is),
+    /// `chunks_by_blocks` (kept if any block of them is), `tree_chunks` and `tree_chunks_by_blocks`
+    /// likewise, all by `five_points`.
     #[serde(flatten)]
     pub scores: BTreeMap<&'static str, Score>,
     /// Reads of heights, bounds and tiles per ray: T3; a march in steps of half a metre.

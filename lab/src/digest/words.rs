@@ -3,8 +3,8 @@
 use crate::digest::probes::Probe;
 use shaders::layout::PROBE_WORDS;
 
-/// Per probe: `mod_trunc(x, z)`, `mod_floor(x, z)`, the sum of the fine octaves, the height with all
-/// octaves and with a few.
+/// Per probe: `mod_trunc(x, z)`, `mod_floor(x, z)`, the sum of the fine octaves, the height with
+/// all octaves and with a few.
 pub const NAMES: [&str; PROBE_WORDS] = ["mod_trunc", "mod_floor", "fine", "height", "coarse height"];
 
 /// blake3 over the words, little-endian, as hexadecimal digits.

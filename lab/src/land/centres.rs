@@ -4,8 +4,8 @@
 //! pairs, the pairs of each centre with itself included, are counted in bins of 512 m, each
 //! divided by the share of the square in which such a difference can lie, blurred, and compared
 //! with the mean density `r`: `A(lag) = (pairs(lag) - r) / (pairs(0) - r)`, where `pairs(0)` is
-//! that of the centres with themselves. A perfect lattice has 1 at its own vectors, independent centres
-//! about 0. The figure is the highest local maximum with a lag of 2 to 65 km.
+//! that of the centres with themselves. A perfect lattice has 1 at its own vectors, independent
+//! centres about 0. The figure is the highest local maximum with a lag of 2 to 65 km.
 //!
 //! The blur is what spreading every centre over a Gaussian gives, whose deviation is 0.04, 0.08 or
 //! 0.16 of the mean distance `1/sqrt(density)`. Lattices with much jitter show with the widest, and

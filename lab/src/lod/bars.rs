@@ -52,8 +52,8 @@ pub fn rows(lod: &Value) -> Vec<Bar> {
         Bar::under("GPU memory of a resident chunk, heights and normals", chunk_kib, "KiB", 24.0),
         Bar::at_most("draw calls for terrain", draws, "", 1.0),
         Bar::reported("change by levels in a frame, 8 x 8 pixels of 255", morphed, ""),
-        // Of each flight by itself: the largest change without morphs is not that of the flight with
-        // the largest one with them.
+        // Of each flight by itself: the largest change without morphs is not that of the flight
+        // with the largest one with them.
         Bar::at_least(
             "the same without morphs, least of the flights (control)",
             least(

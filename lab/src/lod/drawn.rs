@@ -4,7 +4,7 @@
 use client::cache::ChunkCache;
 use client::lod::Drawn;
 use shaders::twin::grid::GridVertex;
-use shaders::twin::morph::{Seams, morph_at, morphed, parent_height, welded};
+use shaders::twin::morph::{Seams, morph_at, morphed, parent_height, snapped};
 use terrain::ChunkKey;
 use terrain::chunk::drawn_height_scaled;
 use terrain::constants::{CELLS, VERTEX_COUNT, VERTICES};
@@ -31,7 +31,7 @@ impl DrawnChunk {
         let mut heights = Box::new([0; VERTEX_COUNT]);
         for (index, height) in heights.iter_mut().enumerate() {
             let grid = GridVertex { column: (index % VERTICES) as u32, row: (index / VERTICES) as u32 };
-            let vertex = welded(&drawn.seams, grid);
+            let vertex = snapped(&drawn.seams, grid);
             let own = chunk.heights[vertex.row as usize * VERTICES + vertex.column as usize];
             let morph = morph_at(&drawn.seams, vertex);
             *height = if morph == 0 {
@@ -63,7 +63,7 @@ impl DrawnChunk {
         let level = self.key.level();
         let cell = |vertex: usize| (vertex >> level).min(CELLS - 1);
         let (x, z) = (cell(column), cell(row));
-        if self.seams.is_halved {
+        if self.seams.is_decimated {
             // With every other vertex moved onto the one before it, these cells have the whole
             // triangles and the others none.
             return self.height_within([(x | 1, z | 1)], column, row);
@@ -107,7 +107,7 @@ impl DrawnChunk {
         let last = CELLS - 1;
         let is_moved =
             (north && z <= 1) || (south && z + 1 >= last) || (west && x <= 1) || (east && x + 1 >= last);
-        let reach = usize::from(is_moved || self.seams.is_halved);
+        let reach = usize::from(is_moved || self.seams.is_decimated);
         let around = move |cell: usize| cell.saturating_sub(reach)..=(cell + reach).min(last);
         around(z).flat_map(move |z| around(x).map(move |x| (x, z))).flat_map(|cell| self.triangles(cell))
     }
@@ -116,7 +116,7 @@ impl DrawnChunk {
     fn triangles(&self, (x, z): (usize, usize)) -> [[Corner; 3]; 2] {
         let corner = |dx: usize, dz: usize| {
             let vertex = GridVertex { column: (x + dx) as u32, row: (z + dz) as u32 };
-            let moved = welded(&self.seams, vertex);
+            let moved = snapped(&self.seams, vertex);
             let height = self.heights[(z + dz) * VERTICES + x + dx];
             (i64::from(moved.column), i64::from(moved.row), i64::from(height))
         };
@@ -170,7 +170,7 @@ mod tests {
             let all = Seams { inside: 64, edges: [64; 4], corners: [64; 4], ..Seams::default() };
             let own = DrawnChunk::new(&world, &Drawn { key, seams: Seams::default() }).unwrap();
             let full = DrawnChunk::new(&world, &Drawn { key, seams: all }).unwrap();
-            let halved = DrawnChunk::new(&world, &Drawn { key, seams: Seams::HALVED }).unwrap();
+            let decimated = DrawnChunk::new(&world, &Drawn { key, seams: Seams::DECIMATED }).unwrap();
             let (chunk, parent) = (world.get(key).unwrap(), world.get(key.parent().unwrap()).unwrap());
             let (east, south) = key.quarter();
             let side = CELLS << level;
@@ -183,7 +183,11 @@ mod tests {
                 let above = drawn_height_scaled(&parent.heights, over_x, over_z, level + 1) as f64 / 2.0;
                 let drawn = full.height_scaled(column, row);
                 assert!((drawn - above).abs() <= f64::from(1 << level), "{drawn} {above}");
-                assert_eq!(halved.height_scaled(column, row), above, "its parent's triangles, not rounded");
+                assert_eq!(
+                    decimated.height_scaled(column, row),
+                    above,
+                    "its parent's triangles, not rounded"
+                );
                 apart += usize::from(drawn != expected as f64);
             }
             assert!(apart > 100, "own and parent must differ for this to say anything");
@@ -197,7 +201,7 @@ mod tests {
         for mask in 1..16 {
             let is_coarser = [1, 2, 4, 8].map(|bit| mask & bit != 0);
             let edges = is_coarser.map(|is| if is { 64 } else { 0 });
-            let seams = Seams { inside: 20, edges, corners: [64; 4], is_coarser, is_halved: false };
+            let seams = Seams { inside: 20, edges, corners: [64; 4], is_coarser, is_decimated: false };
             let drawn = DrawnChunk::new(&world, &Drawn { key, seams }).unwrap();
             for (column, row) in (0..=side).flat_map(|row| (0..=side).map(move |column| (column, row))) {
                 assert!(drawn.height_scaled(column, row).is_finite());

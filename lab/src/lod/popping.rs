@@ -83,8 +83,8 @@ pub struct Outcome {
     pub worst_frame: u32,
 }
 
-/// Light of the drawn triangles and nothing that no morph can change: shadows of the land are traced
-/// chunk by chunk, over the vertices of the chunk's own level.
+/// Light of the drawn triangles and nothing that no morph can change: shadows of the land are
+/// traced chunk by chunk, over the vertices of the chunk's own level.
 pub fn by_triangles() -> RenderSettings {
     RenderSettings { normals: Normals::Mesh, shadows: Shadows::Off, ..RenderSettings::default() }
 }
@@ -176,9 +176,9 @@ fn frame(shot: &ViewParams, world: &ChunkCache, selection: &Selection) -> FrameD
 fn unmorphed(mut frame: FrameData) -> FrameData {
     let only_whole =
         |word: u32| u32::from_le_bytes(word.to_le_bytes().map(|m| if m == MORPH_ONE { m } else { 0 }));
-    // A halved chunk has no vertices to be anything but its parent with.
-    let is_halved = |instance: &TerrainInstance| instance.words.inside & ChunkWords::HALVED != 0;
-    for instance in frame.instances.iter_mut().filter(|instance| !is_halved(instance)) {
+    // A decimated chunk has no vertices to be anything but its parent with.
+    let is_decimated = |instance: &TerrainInstance| instance.words.inside & ChunkWords::DECIMATED != 0;
+    for instance in frame.instances.iter_mut().filter(|instance| !is_decimated(instance)) {
         let words = &mut instance.words;
         words.edges = only_whole(words.edges);
         words.corners = only_whole(words.corners);

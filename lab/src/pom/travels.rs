@@ -1,6 +1,6 @@
-//! The automatic tier where it is not the traversal: rays that travel 0.6 to 3.9 texels, against the
-//! reference in f64. Once they are steep over the finest level, once at 60 degrees over a coarse
-//! one, as seen from afar.
+//! The automatic tier where it is not the traversal: rays that travel 0.6 to 3.9 texels, against
+//! the reference in f64. Once they are steep over the finest level, once at 60 degrees over a
+//! coarse one, as seen from afar.
 //!
 //! Every error is bounded by the travel, so it is stated in texels of the sampled level and not as
 //! a share beyond some texels.

@@ -2,9 +2,9 @@
 //!
 //! A bound for all of the world would be useless: it would have to assume that the narrowest lobes,
 //! the strongest warp and the steepest octaves meet in one place, and allow hundreds of metres per
-//! metre. So the formula itself is evaluated once more, in numbers that carry a bound of their slope
-//! ([`Local`]): at a point, along one axis, for every place within the reach `h` of a step. A number
-//! there has a magnitude of at most `M = |value| + slope h`.
+//! metre. So the formula itself is evaluated once more, in numbers that carry a bound of their
+//! slope ([`Local`]): at a point, along one axis, for every place within the reach `h` of a step. A
+//! number there has a magnitude of at most `M = |value| + slope h`.
 //!
 //! **Rules.** They follow from those of derivatives, with every factor at its largest:
 //!
@@ -21,8 +21,8 @@
 //!
 //! **Noise.** With step weights `S0 = 1 - s`, `S1 = s` (quintic fade `s` of the fraction `t` east,
 //! `u` south) and unit gradients `g`, noise is
-//! `n = sum over corners (i, j) of W g·p` with `W = S_i(t) S_j(u)`, `p = (t - i, u - j)`. Along unit
-//! directions `d` and `e`
+//! `n = sum over corners (i, j) of W g·p` with `W = S_i(t) S_j(u)`, `p = (t - i, u - j)`. Along
+//! unit directions `d` and `e`
 //!
 //! ```text
 //! dn/dd    = sum of g·( W_d p + W d )                 <= sum of | W_d p + W d |
@@ -30,10 +30,11 @@
 //! ```
 //!
 //! for any gradients. The largest values in a cell, found by a search on a grid and raised by more
-//! than the search can have missed (tests), are [`NOISE_SLOPE`], [`NOISE_BEND`] and [`NOISE_TWIST`].
-//! So an octave of amplitude `a` and cell `c` is nowhere steeper than `2.08 a / c`: the fine octaves
-//! take that. A noise of the base field takes its slope at the point plus `9.3 h / c` for the way to
-//! the end of the step, and its gradient changes by at most `9.3 / c` and `5.4 / c` per metre.
+//! than the search can have missed (tests), are [`NOISE_SLOPE`], [`NOISE_BEND`] and
+//! [`NOISE_TWIST`]. So an octave of amplitude `a` and cell `c` is nowhere steeper than
+//! `2.08 a / c`: the fine octaves take that. A noise of the base field takes its slope at the point
+//! plus `9.3 h / c` for the way to the end of the step, and its gradient changes by at most
+//! `9.3 / c` and `5.4 / c` per metre.
 //!
 //! **The land.** At levels 0 to 4 the nodes of the base lattice are constants, and the slope of the
 //! base field is that of their spline: the largest difference of neighbours over 32 m. At a border
@@ -51,10 +52,10 @@
 //! exposure begins, at the rim of the mass, it jumps; there beach and cliff are equal (the land
 //! lies 64 m deep), so no height does.
 //!
-//! **How loose.** Triangle inequalities lose what cancels. On islands the bound is up to 11, and the
-//! truth reaches 0.24 of it in the median over steps of 2 m and up to 0.92 (0.28 and 0.93 over a
-//! unit; 0.22 and 0.98 without a spline). A test holds the bound below 15, the median above 0.2 and
-//! the largest above 0.9.
+//! **How loose.** Triangle inequalities lose what cancels. On islands the bound is up to 11, and
+//! the truth reaches 0.24 of it in the median over steps of 2 m and up to 0.92 (0.28 and 0.93 over
+//! a unit; 0.22 and 0.98 without a spline). A test holds the bound below 15, the median above 0.2
+//! and the largest above 0.9.
 //!
 //! **A step.** Heights are whole units and within [`HEIGHT_ERROR`] of the formula, so a step of `n`
 //! units along an axis changes them by at most `n slope + 2 HEIGHT_ERROR`.

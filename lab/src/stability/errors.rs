@@ -24,9 +24,9 @@ const SIDE: usize = 16;
 /// Chunks of a world.
 const OF_WORLD: u32 = 10;
 
-/// Of so many chunks one is compared at every vertex: those that state the largest errors, of equals
-/// those with the largest seen in squares. At most so many, and up to a level: a chunk of level 8 has
-/// 268 million vertices.
+/// Of so many chunks one is compared at every vertex: those that state the largest errors, of
+/// equals those with the largest seen in squares. At most so many, and up to a level: a chunk of
+/// level 8 has 268 million vertices.
 const ONE_WHOLE_OF: u32 = 500;
 const MOST_WHOLE: u32 = 16;
 const WHOLE_LEVEL: u8 = 8;
@@ -48,8 +48,8 @@ pub struct ErrorRow {
     /// Largest error that a chunk states, and largest distance seen, metres.
     pub stated_m: f64,
     pub seen_m: f64,
-    /// The median over the chunks of what each states, in times of what was seen in it. Chunks where
-    /// less than a metre was seen do not count.
+    /// The median over the chunks of what each states, in times of what was seen in it. Chunks
+    /// where less than a metre was seen do not count.
     pub median_ratio: Option<f64>,
 }
 
@@ -64,8 +64,8 @@ pub fn control() -> Check {
     Check { name: format!("a quarter of the stated error: {}", check.name), ..check }
 }
 
-/// Whether levels state at most [`TIGHT`] times what was seen. Few chunks find less than the largest
-/// error, so this judges thousands.
+/// Whether levels state at most [`TIGHT`] times what was seen. Few chunks find less than the
+/// largest error, so this judges thousands.
 pub fn tightness(rows: &[ErrorRow]) -> Check {
     let mut check = Check::new("levels that state at most 4 times the largest error seen");
     for row in rows {
@@ -102,8 +102,8 @@ fn of_level(level: u8, chunks: u32, divisor: u32) -> (Check, ErrorRow) {
     };
     let mut all: Vec<Seen> =
         (0..worlds).into_par_iter().flat_map_iter(|world| -> Vec<Seen> { of_world(world) }).collect();
-    // Squares miss the largest distances of a chunk, and its bound would be judged by less than it has
-    // to bound.
+    // Squares miss the largest distances of a chunk, and its bound would be judged by less than it
+    // has to bound.
     let whole = if level > WHOLE_LEVEL { 0 } else { (chunks / ONE_WHOLE_OF).min(MOST_WHOLE) };
     all.sort_by_key(|chunk| Reverse((chunk.stated as u32, chunk.seen as u32)));
     for chunk in &mut all[..whole as usize] {
@@ -176,7 +176,8 @@ fn look_everywhere(land: &Land, key: ChunkKey) -> f64 {
     (0..squares * squares).into_par_iter().map(of_square).reduce(|| 0.0, f64::max)
 }
 
-/// The distance of a height (units) at a column and row of level-0 vertices from a chunk's triangles.
+/// The distance of a height (units) at a column and row of level-0 vertices from a chunk's
+/// triangles.
 fn apart(heights: &[i32; VERTEX_COUNT], level: u8, (column, row): (usize, usize), height: i32) -> f64 {
     let drawn = drawn_height_scaled(heights, column, row, level) as f64 / f64::from(1u32 << level);
     (drawn - f64::from(height)).abs()

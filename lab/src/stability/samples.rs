@@ -1,8 +1,8 @@
 //! Where the sweep looks: short walks across every kind of line where an implementation could
 //! break.
 //!
-//! Lines of constant x or z ([`lines`]): the borders of the world and the axes; the lattice lines of
-//! every fine octave and of the base lattice next to the origin, next to the borders and next to
+//! Lines of constant x or z ([`lines`]): the borders of the world and the axes; the lattice lines
+//! of every fine octave and of the base lattice next to the origin, next to the borders and next to
 //! powers of two between; the borders of the archipelago's cells, next to the same. Every line is
 //! crossed where there is land, as far as any island touches it, at free places and at corners of
 //! the same lattice, and at the ends of the world. The edges and corners of turned lattices

@@ -7,8 +7,8 @@ use serde_json::Value;
 /// Poses; fewer measure nothing.
 const POSES: f64 = super::POSES as f64;
 
-/// The least contrast that an eye sees, as a share of the light: about 1 % (Poynton, "Digital Video and
-/// HD: Algorithms and Interfaces", 2012, on lightness).
+/// The least contrast that an eye sees, as a share of the light: about 1 % (Poynton, "Digital Video
+/// and HD: Algorithms and Interfaces", 2012, on lightness).
 const LEAST_SEEN: f64 = 0.01;
 
 /// What bars of a software driver say where there is none.

@@ -17,8 +17,8 @@ use serde::Serialize;
 /// Picture size, pixels.
 const SIZE: (u32, u32) = (320, 180);
 
-/// Poses of each scene. The first of `spom` is one from which the shadows lay 0.3 m off where places on
-/// the floor were interpolated over its triangles.
+/// Poses of each scene. The first of `spom` is one from which the shadows lay 0.3 m off where
+/// places on the floor were interpolated over its triangles.
 const POSES: [(Scene, &str); 6] = [
     (Scene::Spom, "1.5,2.1,4.3,10,-15"),
     (Scene::Spom, "-2.4,1.6,4.0,35,-18"),

@@ -1,5 +1,5 @@
-//! Frame times as ratios of interleaved frames: the defaults for software drivers, and everything on,
-//! over frames with what the viewer drew before it had this look.
+//! Frame times as ratios of interleaved frames: the defaults for software drivers, and everything
+//! on, over frames with what the viewer drew before it had this look.
 
 use crate::headless_renderer::HeadlessRenderer;
 use crate::lod::screen;
@@ -82,8 +82,8 @@ fn preset(quality: Quality) -> (Preset, RenderSettings) {
     (preset, settings)
 }
 
-/// Settings of the viewer before: 8 km of land by the normals of its triangles, plants without shadows
-/// up to 1,500 m, no light between pixels.
+/// Settings of the viewer before: 8 km of land by the normals of its triangles, plants without
+/// shadows up to 1,500 m, no light between pixels.
 fn earlier(grass: u32, trees: u32) -> (Preset, RenderSettings) {
     let preset = Preset { view_distance_m: 8_000, ..Preset::of(Quality::Medium, true) };
     let plants = VegetationSettings {

@@ -1,8 +1,8 @@
 //! Power spectrum of the luminance of the ground below the eye, against that of photographs.
 //!
 //! Photographs of natural scenes have amplitudes that fall as a power of the frequency. The mean
-//! exponent over 135 of them is -1.2, single ones range from -0.8 to -1.5 (Tolhurst, Tadmor and Chao,
-//! "Amplitude spectra of natural images", Ophthalmic and Physiological Optics 12(2), 1992).
+//! exponent over 135 of them is -1.2, single ones range from -0.8 to -1.5 (Tolhurst, Tadmor and
+//! Chao, "Amplitude spectra of natural images", Ophthalmic and Physiological Optics 12(2), 1992).
 
 use super::views::{SIZE, Shot, Views};
 use crate::lod::screen::ViewCase;
@@ -131,7 +131,8 @@ fn octaves(values: &[f64]) -> [f64; OCTAVES] {
 }
 
 /// Discrete Fourier transform of the rows of a square of complex numbers, transposed: two of them
-/// transform the square. By its definition: the squares are small and few. `way`: 1 forward, -1 back.
+/// transform the square. By its definition: the squares are small and few. `way`: 1 forward, -1
+/// back.
 fn transformed(field: &[[f64; 2]], way: f64) -> Vec<[f64; 2]> {
     let turns: Vec<[f64; 2]> = (0..SIDE)
         .map(|at| (way * TAU * at as f64 / SIDE as f64).sin_cos())

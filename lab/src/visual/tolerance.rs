@@ -25,8 +25,8 @@ pub struct Tolerance {
     pub land_light: f64,
     /// The same by normals of the drawn triangles.
     pub mesh_light: f64,
-    /// The lit picture where the drawn surface stays in place, to a quarter of a pixel: what is left
-    /// there is no movement of the materials with the surface.
+    /// The lit picture where the drawn surface stays in place, to a quarter of a pixel: what is
+    /// left there is no movement of the materials with the surface.
     pub still: f64,
     /// The same by normals of the drawn triangles.
     pub mesh_still: f64,

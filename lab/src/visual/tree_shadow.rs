@@ -18,7 +18,8 @@ pub struct TreeShadow {
     pub distant: f64,
     /// The same with the sun turned by 5 degrees, the least of all suns: the control.
     pub distant_control: f64,
-    /// Share of wrong blocks of 30 m by the share of woods, as where crowns are narrower than 3 pixels.
+    /// Share of wrong blocks of 30 m by the share of woods, as where crowns are narrower than 3
+    /// pixels.
     pub far: f64,
     /// Largest difference of a block's mean.
     pub far_most: f64,

@@ -10,20 +10,20 @@ use terrain::constants::VERTICES;
 pub struct SunParams {
     /// Unit vector towards the sun, east and south.
     pub toward: [f32; 2],
-    /// Least slope of the horizon that matters, at least 0.
+    /// Least slope of the horizon, at least 0: slopes are clamped to it.
     pub slope_low: f32,
-    /// Slope of the horizon from which on it is all the same.
+    /// Largest slope of the horizon: slopes are clamped to it.
     pub slope_high: f32,
     /// The sun above the level, radians.
     pub elevation: f32,
-    /// log2 of the side of the roots, steps of 2 m.
+    /// log2 of the side of the top-level nodes, grid steps.
     pub root_bits: u32,
-    /// Roots east.
+    /// Top-level nodes east.
     pub columns: u32,
-    /// Roots south.
+    /// Top-level nodes south.
     pub rows: u32,
     /// The highest point of all that is drawn, units.
-    pub top: i32,
+    pub max_height: i32,
     /// [`SKY_TRACE`], [`SKY_DARK`] or [`SKY_LIT`].
     pub sky: u32,
 }
@@ -44,7 +44,7 @@ pub struct PageNode {
     /// [`LEAF`] and a slot, the index of the first of four children, or [`EMPTY_LINK`].
     pub link: u32,
     /// Nothing drawn under it is higher, units.
-    pub top: i32,
+    pub max_height: i32,
 }
 
 /// The bit of [`PageNode::link`] that marks a leaf.

@@ -20,7 +20,7 @@ pub struct ChunkWords {
     /// high).
     pub corners: u32,
     /// Morph of the inside in the lowest byte; bits 8 to 11: the neighbour north, east, south, west
-    /// is coarser; [`Self::HALVED`].
+    /// is coarser; [`Self::DECIMATED`].
     pub inside: u32,
     /// Level in the lowest byte; bit 8: the chunk is an eastern quarter of its parent, bit 9: a
     /// southern one; bits 10 and 11: likewise which quarter of the chunk this is.
@@ -30,7 +30,7 @@ pub struct ChunkWords {
 impl ChunkWords {
     /// The bit of [`Self::inside`] that says that the instance is all of a chunk, drawn with every
     /// other vertex.
-    pub const HALVED: u32 = 1 << 12;
+    pub const DECIMATED: u32 = 1 << 12;
 }
 
 /// A quarter of a drawn chunk.

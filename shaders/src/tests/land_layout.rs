@@ -90,10 +90,10 @@ fn shadow_data_has_the_layout_of_the_shader() {
         ("root_bits", offset_of!(SunParams, root_bits)),
         ("columns", offset_of!(SunParams, columns)),
         ("rows", offset_of!(SunParams, rows)),
-        ("top", offset_of!(SunParams, top)),
+        ("max_height", offset_of!(SunParams, max_height)),
         ("sky", offset_of!(SunParams, sky)),
     ];
-    let node = [("link", offset_of!(PageNode, link)), ("top", offset_of!(PageNode, top))];
+    let node = [("link", offset_of!(PageNode, link)), ("max_height", offset_of!(PageNode, max_height))];
     let target = [
         ("x", offset_of!(ShadowTarget, x)),
         ("z", offset_of!(ShadowTarget, z)),

@@ -29,17 +29,17 @@ pub struct Seams {
     /// moved onto one that it has.
     pub is_coarser: [bool; 4],
     /// Whether only every other vertex is drawn, all the way in.
-    pub is_halved: bool,
+    pub is_decimated: bool,
 }
 
 impl Seams {
     /// A chunk that is drawn as its parent's triangles.
-    pub const HALVED: Self = Self {
+    pub const DECIMATED: Self = Self {
         inside: MORPH_ONE,
         edges: [MORPH_ONE; 4],
         corners: [MORPH_ONE; 4],
         is_coarser: [true; 4],
-        is_halved: true,
+        is_decimated: true,
     };
 }
 
@@ -52,19 +52,19 @@ impl ChunkWords {
         [
             u32::from_le_bytes(seams.edges),
             u32::from_le_bytes(seams.corners),
-            u32::from(seams.inside) | coarser | (u32::from(seams.is_halved) * Self::HALVED),
+            u32::from(seams.inside) | coarser | (u32::from(seams.is_decimated) * Self::DECIMATED),
         ]
     }
 }
 
-/// The vertex that is drawn in place of another (snapped in docs/glossary.md): the even one beside
-/// it on an edge that a coarser chunk shares, and anywhere in a halved (decimated) chunk.
+/// The vertex that is drawn in place of another (a snapped vertex): the even one beside it on an
+/// edge that a coarser chunk shares, and anywhere in a decimated chunk.
 #[must_use]
-pub fn welded(seams: &Seams, vertex: GridVertex) -> GridVertex {
+pub fn snapped(seams: &Seams, vertex: GridVertex) -> GridVertex {
     let [north, east, south, west] = seams.is_coarser;
     let last = CELLS as u32;
-    let along_x = seams.is_halved || (north && vertex.row == 0) || (south && vertex.row == last);
-    let along_z = seams.is_halved || (west && vertex.column == 0) || (east && vertex.column == last);
+    let along_x = seams.is_decimated || (north && vertex.row == 0) || (south && vertex.row == last);
+    let along_z = seams.is_decimated || (west && vertex.column == 0) || (east && vertex.column == last);
     GridVertex {
         column: vertex.column - (vertex.column & u32::from(along_x)),
         row: vertex.row - (vertex.row & u32::from(along_z)),
@@ -125,7 +125,7 @@ mod tests {
         edges: [64, 5, 0, 33],
         corners: [64, 64, 0, 7],
         is_coarser: [true, false, false, false],
-        is_halved: false,
+        is_decimated: false,
     };
 
     #[test]
@@ -159,11 +159,11 @@ mod tests {
     #[test]
     fn only_odd_vertices_on_a_coarser_edge_are_moved() {
         for vertex in grid() {
-            let moved = welded(&MIXED, vertex);
+            let moved = snapped(&MIXED, vertex);
             let expected = if vertex.row == 0 { vertex.column & !1 } else { vertex.column };
             assert_eq!(moved, GridVertex { column: expected, ..vertex });
-            let halved = GridVertex { column: vertex.column & !1, row: vertex.row & !1 };
-            assert_eq!(welded(&Seams::HALVED, vertex), halved);
+            let decimated = GridVertex { column: vertex.column & !1, row: vertex.row & !1 };
+            assert_eq!(snapped(&Seams::DECIMATED, vertex), decimated);
         }
     }
 

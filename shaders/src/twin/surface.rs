@@ -7,7 +7,7 @@
 //! vertices, the same diagonals, the same morphs.
 
 use super::grid::GridVertex;
-use super::morph::{Seams, morph_at, morphed, welded};
+use super::morph::{Seams, morph_at, morphed, snapped};
 use super::ring::mul_hi;
 use crate::layout::{
     BLOCK_TEXELS, ChunkWords, GRID_NODES, GRID_TILES, NO_CHUNK, OccluderChunk, OcclusionNode,
@@ -66,7 +66,7 @@ pub struct Node {
 struct Spot {
     /// The vertex in the low corner.
     low: GridVertex,
-    /// Vertices from one corner to the next: 2 in a halved chunk.
+    /// Vertices from one corner to the next: 2 in a decimated chunk.
     stride: u32,
     /// log2 of the side, fine units.
     bits: u32,
@@ -90,7 +90,7 @@ fn seams_of(words: &ChunkWords) -> Seams {
         edges: words.edges.to_le_bytes(),
         corners: words.corners.to_le_bytes(),
         is_coarser: [coarser(0), coarser(1), coarser(2), coarser(3)],
-        is_halved: words.inside & ChunkWords::HALVED != 0,
+        is_decimated: words.inside & ChunkWords::DECIMATED != 0,
     }
 }
 
@@ -112,7 +112,7 @@ impl<S: Slots> Surface<'_, S> {
             return self.slots.height(chunk.words.slot, vertex.row * 65 + vertex.column);
         }
         let seams = seams_of(&chunk.words);
-        let at = welded(&seams, vertex);
+        let at = snapped(&seams, vertex);
         let own = self.slots.height(chunk.words.slot, at.row * 65 + at.column);
         let morph = morph_at(&seams, at);
         if morph == 0 {
@@ -130,16 +130,16 @@ impl<S: Slots> Surface<'_, S> {
     /// The cell of a chunk that holds a place.
     fn spot(&self, chunk: &OccluderChunk, x: i32, z: i32) -> Spot {
         let level = chunk.words.place & 255;
-        let halved = u32::from(chunk.words.inside & ChunkWords::HALVED != 0);
+        let decimated = u32::from(chunk.words.inside & ChunkWords::DECIMATED != 0);
         let last = CELLS as i32 - 1;
         let (steps_x, steps_z) = ((x >> STEP_BITS) - chunk.x, (z >> STEP_BITS) - chunk.z);
-        let column = (steps_x >> level).clamp(0, last) & !(halved as i32);
-        let row = (steps_z >> level).clamp(0, last) & !(halved as i32);
-        let bits = STEP_BITS + level + halved;
+        let column = (steps_x >> level).clamp(0, last) & !(decimated as i32);
+        let row = (steps_z >> level).clamp(0, last) & !(decimated as i32);
+        let bits = STEP_BITS + level + decimated;
         let step = (1 << STEP_BITS) - 1;
         return Spot {
             low: GridVertex { column: column as u32, row: row as u32 },
-            stride: 1 + halved,
+            stride: 1 + decimated,
             bits,
             east: ((steps_x - (column << level)) << STEP_BITS) + (x & step),
             south: ((steps_z - (row << level)) << STEP_BITS) + (z & step),
@@ -160,7 +160,7 @@ impl<S: Slots> Surface<'_, S> {
     /// border that a coarser chunk shares.
     fn is_block_rough(&self, chunk: &OccluderChunk, block: GridVertex) -> bool {
         let (coarser, last) = (chunk.words.inside >> 8, CELLS as u32 - 2);
-        if chunk.words.inside & ChunkWords::HALVED != 0 {
+        if chunk.words.inside & ChunkWords::DECIMATED != 0 {
             return false;
         }
         return (coarser & 1 != 0 && block.row == 0)
@@ -212,7 +212,7 @@ impl<S: Slots> Surface<'_, S> {
         south: u32,
     ) -> (i32, i32, i32) {
         let vertex = GridVertex { column: block.column + east, row: block.row + south };
-        let at = welded(&seams_of(&chunk.words), vertex);
+        let at = snapped(&seams_of(&chunk.words), vertex);
         let height = self.drawn_vertex(chunk, vertex) << FINE_BITS;
         return (at.column as i32 - block.column as i32, at.row as i32 - block.row as i32, height);
     }

@@ -232,7 +232,8 @@ mod tests {
                 let away = lobe.centre[0].hypot(lobe.centre[2]);
                 for part in 0..=200 {
                     let rise = part as f32 / 100.0 - 1.0;
-                    let up = crown.wide_m + crown.rise_m * (lobe.centre[1] + lobe.radius * lobe.flat * rise);
+                    let up =
+                        crown.wide_m + crown.rise_m * (lobe.centre[1] + lobe.radius * lobe.aspect * rise);
                     let out = crown.radius_m * (away + lobe.radius * (1.0 - rise * rise).max(0.0).sqrt());
                     let share = ((1.0 - up) * 256.0 / 84.0).clamp(0.0, 1.0);
                     let bound = |core: f32| (core + (277.0 - core) * share) / 256.0;

@@ -14,7 +14,7 @@ fn fract(x: f32) -> f32 {
     return x - x.floor();
 }
 
-fn part_number(phase: f32, part: u32) -> f32 {
+fn part_random(phase: f32, part: u32) -> f32 {
     return fract(phase * 11.0 + part as f32 * 0.618_034);
 }
 
@@ -23,8 +23,8 @@ fn part_number(phase: f32, part: u32) -> f32 {
 pub fn tree_stem(along: f32, height_m: f32, sway_m: Vec2) -> Vec3 {
     let aside = scaled(sway_m, along * along);
     let tilt = scaled(sway_m, 2.0 / height_m.max(1e-3));
-    let sinks = dot(tilt, tilt) * along * along * along / 6.0;
-    return [aside[0], height_m * (along - sinks), aside[1]];
+    let height_loss = dot(tilt, tilt) * along * along * along / 6.0;
+    return [aside[0], height_m * (along - height_loss), aside[1]];
 }
 
 fn beside_stem(up: f32, aside_m: Vec2, height_m: f32, sway_m: Vec2) -> Vec3 {
@@ -59,9 +59,9 @@ fn trunk_vertex(tree: &Caster, level: usize, part: u32, corner: u32, phase: f32,
     let angle = TURN * (phase + (part + right) as f32 / sides as f32);
     let outward = [angle.cos(), angle.sin()];
     let [low, high] = if tree.species == SPRUCE { [0.9, 0.2] } else { [1.35, 0.45] };
-    let thick_m = trunk_radius_m(tree) * if top { high } else { low };
+    let trunk_half_width_m = trunk_radius_m(tree) * if top { high } else { low };
     let up = if top { 0.7 } else { 0.0 };
-    let mut offset_m = beside_stem(up, scaled(outward, thick_m), tree.height_m, sway_m);
+    let mut offset_m = beside_stem(up, scaled(outward, trunk_half_width_m), tree.height_m, sway_m);
     offset_m[1] -= if top { 0.0 } else { 0.1 * tree.width_m };
     return offset_m;
 }
@@ -69,29 +69,29 @@ fn trunk_vertex(tree: &Caster, level: usize, part: u32, corner: u32, phase: f32,
 fn limb_vertex(tree: &Caster, limb: u32, right: u32, top: bool, phase: f32, sway_m: Vec2) -> Vec3 {
     let crown = crown_of(tree);
     let lobe = lobe_of(tree.species, phase, 1 + (2 * limb) % (LOBES - 1));
-    let end = scaled(lobe.centre, 0.9);
-    let end_up = (crown.wide_m + crown.rise_m * end[1]) / tree.height_m;
+    let limb_end = scaled(lobe.centre, 0.9);
+    let end_up = (crown.wide_m + crown.rise_m * limb_end[1]) / tree.height_m;
     let lowest = if tree.species == PINE { 0.55 } else { 0.26 };
     let begin_up = (lowest + 0.05 * limb as f32).min((end_up - 0.06).max(0.1));
-    let length = end[0].hypot(end[2]).max(1e-3);
-    let across = scaled([-end[2], end[0]], 1.0 / length);
+    let length = limb_end[0].hypot(limb_end[2]).max(1e-3);
+    let across = scaled([-limb_end[2], limb_end[0]], 1.0 / length);
     let half_m = trunk_radius_m(tree) * if top { 0.12 } else { 0.42 } * (right as f32 * 2.0 - 1.0);
-    let reach = if tree.species == SPRUCE { 0.0 } else { 1.0 };
-    let tip_m = if top { scaled([end[0], end[2]], crown.radius_m * reach) } else { [0.0; 2] };
-    let aside_m = add(scaled(across, half_m * reach), tip_m);
-    let up = if top { begin_up + (end_up - begin_up) * reach } else { begin_up };
+    let has_limb = if tree.species == SPRUCE { 0.0 } else { 1.0 };
+    let tip_m = if top { scaled([limb_end[0], limb_end[2]], crown.radius_m * has_limb) } else { [0.0; 2] };
+    let aside_m = add(scaled(across, half_m * has_limb), tip_m);
+    let up = if top { begin_up + (end_up - begin_up) * has_limb } else { begin_up };
     return beside_stem(up, aside_m, tree.height_m, sway_m);
 }
 
 fn bough_vertex(tree: &Caster, level: usize, spray: u32, corner: u32, phase: f32, sway_m: Vec2) -> Vec3 {
-    let number = part_number(phase, spray);
+    let random01 = part_random(phase, spray);
     let whorl = spray / WHORL[level];
     let whorls = SPRAYS[level] / WHORL[level];
     let crown = crown_of(tree);
-    let up = (whorl as f32 + 0.4 * number) / whorls as f32;
-    let reach = (1.0 - 0.93 * up).powf(0.9) * (1.0 - 0.22 * number);
+    let up = (whorl as f32 + 0.4 * random01) / whorls as f32;
+    let bough_length = (1.0 - 0.93 * up).powf(0.9) * (1.0 - 0.22 * random01);
     let turn = (spray % WHORL[level]) as f32 / WHORL[level] as f32 + 0.381_966 * whorl as f32;
-    let angle = TURN * (phase + turn + 0.05 * number);
+    let angle = TURN * (phase + turn + 0.05 * random01);
     let outward = [angle.cos(), angle.sin()];
     let across = [-outward[1], outward[0]];
     let is_end = corner == 1 || corner == 5;
@@ -99,9 +99,9 @@ fn bough_vertex(tree: &Caster, level: usize, spray: u32, corner: u32, phase: f32
     let sign = if corner == 4 { 1.0 } else { -1.0 };
     let half = [0.40, 0.56][level];
     let along: f32 = if is_side { 0.5 } else { f32::from(u8::from(is_end)) };
-    let reach_m = crown.radius_m * reach;
-    let outwards = scaled(outward, reach_m * if is_side { 0.56 } else { along });
-    let aside_m = add(outwards, scaled(across, if is_side { sign * half * reach_m } else { 0.0 }));
+    let length_m = crown.radius_m * bough_length;
+    let outwards = scaled(outward, length_m * if is_side { 0.56 } else { along });
+    let aside_m = add(outwards, scaled(across, if is_side { sign * half * length_m } else { 0.0 }));
     let foot = (crown.wide_m + crown.rise_m * (0.04 + 0.93 * up)) / tree.height_m;
     let span = 1.0 / whorls as f32;
     let hang = if is_side {
@@ -112,7 +112,7 @@ fn bough_vertex(tree: &Caster, level: usize, spray: u32, corner: u32, phase: f32
         -0.05
     };
     let lower = if level > 0 && !is_end && is_side { 0.35 * span } else { 0.0 };
-    let fall = hang * reach_m / tree.height_m + lower;
+    let fall = hang * length_m / tree.height_m + lower;
     let high = if level > 0 && along == 0.0 { (foot + 0.8 * span).min(1.0) } else { foot };
     return beside_stem((high - fall).clamp(0.01, 0.995), aside_m, tree.height_m, sway_m);
 }
@@ -121,31 +121,31 @@ fn bough_vertex(tree: &Caster, level: usize, spray: u32, corner: u32, phase: f32
 pub(super) struct Lobe {
     pub(super) centre: Vec3,
     pub(super) radius: f32,
-    pub(super) flat: f32,
+    pub(super) aspect: f32,
 }
 
 pub(super) fn lobe_of(species: u32, phase: f32, lobe: u32) -> Lobe {
-    let number = part_number(phase, lobe + 512);
+    let random01 = part_random(phase, lobe + 512);
     let y = 0.92 - 1.5 * lobe as f32 / (LOBES - 1) as f32;
-    let angle = TURN * (0.381_966 * lobe as f32 + 3.0 * phase + 0.12 * number);
-    let level_part = (1.0 - y * y).sqrt();
-    let outward = [level_part * angle.cos(), y, level_part * angle.sin()];
-    let away = 0.42 + 0.20 * fract(5.0 * number);
-    let flat = if species == PINE { 0.62 } else { 1.0 };
-    return Lobe { centre: scaled(outward, away), radius: 0.985 - away, flat };
+    let angle = TURN * (0.381_966 * lobe as f32 + 3.0 * phase + 0.12 * random01);
+    let sin_polar = (1.0 - y * y).sqrt();
+    let outward = [sin_polar * angle.cos(), y, sin_polar * angle.sin()];
+    let away = 0.42 + 0.20 * fract(5.0 * random01);
+    let aspect = if species == PINE { 0.62 } else { 1.0 };
+    return Lobe { centre: scaled(outward, away), radius: 0.985 - away, aspect };
 }
 
 fn spray_vertex(tree: &Caster, level: usize, spray: u32, corner: u32, phase: f32, sway_m: Vec2) -> Vec3 {
-    let number = part_number(phase, spray);
+    let random01 = part_random(phase, spray);
     let crown = crown_of(tree);
     let lobe = lobe_of(tree.species, phase, spray % LOBES);
     let place = (spray / LOBES) as f32;
     let y = 1.0 - (2.0 * place + 1.0) * LOBES as f32 / SPRAYS[level] as f32;
-    let angle = TURN * (0.381_966 * place + 5.0 * phase + 0.03 * number);
-    let level_part = (1.0 - y * y).max(0.0).sqrt();
-    let outward = [level_part * angle.cos(), y, level_part * angle.sin()];
+    let angle = TURN * (0.381_966 * place + 5.0 * phase + 0.03 * random01);
+    let sin_polar = (1.0 - y * y).max(0.0).sqrt();
+    let outward = [sin_polar * angle.cos(), y, sin_polar * angle.sin()];
     let half = lobe.radius * [0.55, 0.95][level];
-    let shell = lobe.radius * [0.55 + 0.40 * fract(7.0 * number), 0.60][level];
+    let shell = lobe.radius * [0.55 + 0.40 * fract(7.0 * random01), 0.60][level];
     let east = [outward[2] + 1e-4, 0.0, -outward[0]];
     let east = scaled(east, 1.0 / dot(east, east).sqrt());
     let north = [
@@ -153,17 +153,17 @@ fn spray_vertex(tree: &Caster, level: usize, spray: u32, corner: u32, phase: f32
         outward[2] * east[0] - outward[0] * east[2],
         outward[0] * east[1] - outward[1] * east[0],
     ];
-    let spin = TURN * fract(13.0 * number);
+    let spin = TURN * fract(13.0 * random01);
     let first = add(scaled(east, spin.cos()), scaled(north, spin.sin()));
-    let tilt = 1.8 * fract(29.0 * number) - 0.9;
+    let tilt = 1.8 * fract(29.0 * random01) - 0.9;
     let second = add(add(scaled(north, spin.cos()), scaled(east, -spin.sin())), scaled(outward, tilt));
     let second = scaled(second, 1.0 / dot(second, second).sqrt());
     let right = if corner == 1 || corner == 3 || corner == 4 { 1.0 } else { -1.0 };
     let above = if corner == 2 || corner == 4 || corner == 5 { 1.0 } else { -1.0 };
     let aside = add(scaled(first, right), scaled(second, above));
     let in_lobe = add(scaled(outward, shell), scaled(aside, half));
-    let free = add(lobe.centre, [in_lobe[0], in_lobe[1] * lobe.flat, in_lobe[2]]);
-    let at = scaled(free, f32::min(1.0, 0.985 / dot(free, free).sqrt().max(1e-3)));
+    let unclamped = add(lobe.centre, [in_lobe[0], in_lobe[1] * lobe.aspect, in_lobe[2]]);
+    let at = scaled(unclamped, f32::min(1.0, 0.985 / dot(unclamped, unclamped).sqrt().max(1e-3)));
     let up = (crown.wide_m + crown.rise_m * at[1]) / tree.height_m;
     return beside_stem(up, scaled([at[0], at[2]], crown.radius_m), tree.height_m, sway_m);
 }

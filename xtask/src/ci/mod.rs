@@ -59,7 +59,7 @@ pub fn run(options: &Options) -> Result<()> {
         for step in again.filter_map(|line| chosen.iter().find(|step| step.name == line.step)) {
             println!("repeat {} with: {}", step.name, step.again);
         }
-        bail!("ci: {} failed or could not look, in {seconds:.0} s", faults.len());
+        bail!("ci: {} failed or were skipped, in {seconds:.0} s", faults.len());
     }
     let what = if is_whole { "all steps" } else { "the chosen steps, not the whole," };
     println!("ci: {what} passed in {seconds:.0} s");

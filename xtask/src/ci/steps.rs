@@ -201,8 +201,8 @@ fn ages_of_records(host: &dyn Host) -> Result<Shown> {
     checked(host, records::judge)
 }
 
-/// With the features of `--all-targets` the viewer has a window; `cargo demo -- --headless` builds it
-/// without.
+/// With the features of `--all-targets` the viewer has a window; `cargo demo -- --headless` builds
+/// it without.
 fn build(host: &dyn Host) -> Result<Shown> {
     host.run(process::cargo("build --workspace --all-targets"))?;
     ran(host, process::check_without_window(&demo::PROGRAMS))

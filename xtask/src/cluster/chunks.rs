@@ -1,4 +1,5 @@
-//! Many chunks by HTTP from one replica, each once: their latency and whether their bytes are right.
+//! Many chunks by HTTP from one replica, each once: their latency and whether their bytes are
+//! right.
 
 use super::http::{agent, get_by, world};
 use anyhow::Result;

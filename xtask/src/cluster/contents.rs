@@ -1,5 +1,5 @@
-//! One content per address: chunks of all levels from every replica, twice through nginx, and from a
-//! cache that is a day old, after the replicas were replaced, one of them by another build.
+//! One content per address: chunks of all levels from every replica, twice through nginx, and from
+//! a cache that is a day old, after the replicas were replaced, one of them by another build.
 
 use super::Cluster;
 use super::http::{Answer, get, world};
@@ -33,9 +33,9 @@ fn addresses(digest: &str) -> Vec<String> {
     (0..LEVELS).flat_map(of_level).collect()
 }
 
-/// Layout of a cached answer in nginx 1.11.10 and later, 64 bits: its version, and the offsets of two
-/// times, s since 1970, by which nginx decides whether an answer is valid: the end of its validity,
-/// and the `Date` of the answer.
+/// Layout of a cached answer in nginx 1.11.10 and later, 64 bits: its version, and the offsets of
+/// two times, s since 1970, by which nginx decides whether an answer is valid: the end of its
+/// validity, and the `Date` of the answer.
 const VERSION: u64 = 5;
 const TIMES: [usize; 2] = [8, 40];
 

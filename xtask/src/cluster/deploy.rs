@@ -1,5 +1,5 @@
-//! What the files under `deploy/` say of the server: every metric that they use must be in the table
-//! of docs/operations.md, every variable that they set must be an option's.
+//! What the files under `deploy/` say of the server: every metric that they use must be in the
+//! table of docs/operations.md, every variable that they set must be an option's.
 
 #![cfg(test)]
 

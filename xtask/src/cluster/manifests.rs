@@ -93,7 +93,8 @@ fn manifests_have_the_fields_of_the_kubernetes_api() {
     }
 }
 
-/// The controls: a misspelt field, one in another place, one of another type, a kind without a check.
+/// The controls: a misspelt field, one in another place, one of another type, a kind without a
+/// check.
 #[test]
 fn damaged_manifests_are_found() {
     for (from, to, found) in [
@@ -181,8 +182,8 @@ fn the_compose_file_has_the_fields_of_the_specification() {
         assert!(service.mem_limit.is_some() && service.logging.is_some(), "{name}");
     }
     let nginx = services["nginx"].as_ref().unwrap();
-    // It looks up the addresses of the replicas while it runs: it starts without them, and its sessions
-    // outlive a replica.
+    // It looks up the addresses of the replicas while it runs: it starts without them, and its
+    // sessions outlive a replica.
     let DependsOnOptions::Conditional(others) = &nginx.depends_on else { panic!("{:?}", nginx.depends_on) };
     let is_free = |other: &docker_compose_types::DependsCondition| {
         other.restart.is_none() && other.condition == "service_started"

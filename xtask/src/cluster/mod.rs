@@ -47,8 +47,8 @@ pub struct Options {
     /// Servers behind nginx, 2 to 16
     #[arg(long, value_name = "N", default_value_t = 2, value_parser = clap::value_parser!(u8).range(2..=16))]
     pub replicas: u8,
-    /// Check clusters of two replicas instead: caches, a replica killed and one terminated under load,
-    /// a store that fails, a bake in parts, alerts; exit 1 if a bar is missed
+    /// Check clusters of two replicas instead: caches, a replica killed and one terminated under
+    /// load, a store that fails, a bake in parts, alerts; exit 1 if a bar is missed
     #[arg(long)]
     pub check: bool,
     /// With --check: only these
@@ -173,8 +173,8 @@ fn watched(cluster: &Cluster) -> Result<Option<Prometheus>> {
     Ok(Some(prometheus))
 }
 
-/// Every figure of clusters of two replicas beside its bar. Each check has a cluster of its own, whose
-/// caches are empty. A check that fails is a missed row.
+/// Every figure of clusters of two replicas beside its bar. Each check has a cluster of its own,
+/// whose caches are empty. A check that fails is a missed row.
 ///
 /// # Errors
 /// An interrupt.

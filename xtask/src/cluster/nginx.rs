@@ -29,8 +29,8 @@ pub struct Nginx {
 }
 
 impl Nginx {
-    /// Starts nginx before replicas at these addresses, on a free port of the loopback, with an empty
-    /// cache.
+    /// Starts nginx before replicas at these addresses, on a free port of the loopback, with an
+    /// empty cache.
     ///
     /// # Errors
     /// nginx is not installed, rejects the configuration, or does not listen in time.

@@ -1,5 +1,5 @@
-//! A server with the interface of S3 on the loopback: `s3s-fs`, a program of its own, over a folder.
-//! A relay stands before it, so that it can be slow.
+//! A server with the interface of S3 on the loopback: `s3s-fs`, a program of its own, over a
+//! folder. A relay stands before it, so that it can be slow.
 
 use super::relay::Relay;
 use crate::process;

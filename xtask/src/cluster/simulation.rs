@@ -1,6 +1,7 @@
-//! The simulation beside real clients: the same paths, with the costs that this machine has. Costs of
-//! generation, views and encoding are measured by the simulation itself, the others are built in; all
-//! are then scaled by the processor time of a smaller load, so that what is compared is a prediction.
+//! The simulation beside real clients: the same paths, with the costs that this machine has. Costs
+//! of generation, views and encoding are measured by the simulation itself, the others are built
+//! in; all are then scaled by the processor time of a smaller load, so that what is compared is a
+//! prediction.
 
 use super::capacity::{ended_processor_s, processor_s};
 use crate::process;
@@ -105,8 +106,8 @@ fn free(costs: &Value) -> Value {
     fields.map(|(name, cost)| (name.clone(), times(cost, 0.0))).collect()
 }
 
-/// The costs scaled so that the simulation of few clients takes the processor time of real ones: those
-/// of the server by one factor, that of a client by another.
+/// The costs scaled so that the simulation of few clients takes the processor time of real ones:
+/// those of the server by one factor, that of a client by another.
 fn calibrated(folder: &Path, mut costs: Value) -> Result<Value> {
     let real = load(&folder.join("few.json"), FEW_CLIENTS)?;
     let simulated = simulation(folder, &costs, FEW_CLIENTS)?;

@@ -32,8 +32,8 @@ const WAIT: &str = "TOMBOLO_STORE_WAIT_MS";
 const PATIENT_MS: u32 = 2000;
 
 /// The least wait of `docker-compose.yml` and the Kubernetes manifests, in which a healthy store on
-/// this machine answers, milliseconds. Without one a replica makes nearly all of these chunks sooner
-/// than it would read them, and does not notice the fault.
+/// this machine answers, milliseconds. Without one a replica makes nearly all of these chunks
+/// sooner than it would read them, and does not notice the fault.
 const SHORT_MS: u32 = 100;
 
 /// The setting of a replica that waits for every answer.
@@ -135,8 +135,8 @@ const FAULTS: [Fault; 9] = [
     },
 ];
 
-/// A store that answers within the wait, and later than a chunk takes to make: the wait prefers reads
-/// to generation, so its time has no bar.
+/// A store that answers within the wait, and later than a chunk takes to make: the wait prefers
+/// reads to generation, so its time has no bar.
 const SLOWED: &str = "slowed to 50 ms, within the wait of 100 ms";
 
 impl Fault {

@@ -39,7 +39,8 @@ impl Reports<'_> {
     }
 }
 
-/// Writes `gpu.md` and `runs.csv` into a folder that `run.sh` filled, in the format of every record.
+/// Writes `gpu.md` and `runs.csv` into a folder that `run.sh` filled, in the format of every
+/// record.
 ///
 /// The first call notes the machine in `machine.json`; a later one, on another machine, reads it.
 ///

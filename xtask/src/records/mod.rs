@@ -24,8 +24,8 @@ pub struct Options {
     #[arg(long)]
     pub check: bool,
     /// Write docs/measurements/README.md from the records; withdraw the figures of the README whose
-    /// record is out of date, of a changed working tree or of one run, and state those of new records;
-    /// state figures of documents as the records do that they refer to
+    /// record is out of date, of a changed working tree or of one run, and state those of new
+    /// records; state figures of documents as the records do that they refer to
     #[arg(long)]
     pub write: bool,
 }
@@ -92,12 +92,12 @@ pub fn withdrawn() -> Result<usize> {
     Ok(readme(&files()?)?.lines().filter(|line| quotes::is_withdrawn(line)).count())
 }
 
-/// Shows the records. The README may quote none that is out of date, of a changed working tree or of
-/// one run: a change of measured code withdraws its figures until they are measured again.
+/// Shows the records. The README may quote none that is out of date, of a changed working tree or
+/// of one run: a change of measured code withdraws its figures until they are measured again.
 ///
 /// # Errors
-/// A figure of the README is to be withdrawn or stated, the history lacks the commits of the records,
-/// or files cannot be read.
+/// A figure of the README is to be withdrawn or stated, the history lacks the commits of the
+/// records, or files cannot be read.
 pub fn judge() -> Result<()> {
     if let Some(why) = lacks_history() {
         bail!("records: {why}");

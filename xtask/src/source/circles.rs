@@ -1,9 +1,9 @@
-//! Import circles between modules.
+//! Import cycles between modules.
 //!
-//! An arrow goes from a file to the module that a `crate::` or `super::` path in it names. Between
-//! two files it is lifted to the two sibling modules that hold them, under their nearest common
-//! ancestor, so a circle is found at the level where it stands. A module and its own descendants
-//! make no circle: in Rust a parent declares and uses its children. Tests do not count.
+//! An edge goes from a file to the module that a `crate::` or `super::` path in it names. An edge
+//! between two files counts as one between the two sibling modules that hold them, under their
+//! nearest common ancestor, so a cycle is reported between sibling modules. A module and its own
+//! descendants make no cycle: in Rust a parent declares and uses its children. Tests do not count.
 
 use super::lines::{is_test, without_tests};
 use super::{Files, Finding};
@@ -12,10 +12,10 @@ use std::collections::{BTreeMap, BTreeSet};
 /// Path of a module in its crate; the crate's root is empty.
 type Module = Vec<String>;
 
-/// An arrow between two sibling modules, with the file and line that draws it.
+/// An edge between two sibling modules, with the file and line of its import.
 type Arrows = BTreeMap<(Module, Module), (String, usize)>;
 
-/// Every circle once, at one of its arrows.
+/// Each cycle once, with one of its import lines.
 pub fn check(files: &Files) -> Vec<Finding> {
     let mut sources: BTreeMap<&str, BTreeMap<Module, (&str, &str)>> = BTreeMap::new();
     for (path, text) in files.with_extension(&["rs"]) {
@@ -179,7 +179,7 @@ fn tree(rest: &mut &str, above: &[String], paths: &mut Vec<Vec<String>>) {
     }
 }
 
-/// Strongly connected groups of more than one module, each at an arrow within it.
+/// Import cycles: strongly connected groups of more than one module, each at an edge within it.
 fn circles(arrows: &Arrows) -> Vec<Finding> {
     let reach = |from: &Module| {
         let mut seen = BTreeSet::new();

@@ -9,8 +9,8 @@ pub const LIMIT: usize = 100;
 pub const LIMIT_CODE: usize = 110;
 
 /// Lines over [`LIMIT`] or [`LIMIT_CODE`] in Rust, WESL and Markdown. Table rows, links that are a
-/// line of their own and records of measurements are exempt: a table and a link cannot be wrapped, and
-/// programs write the records.
+/// line of their own and records of measurements are exempt: a table and a link cannot be wrapped,
+/// and programs write the records.
 pub fn check(files: &Files) -> Vec<Finding> {
     let mut found = Vec::new();
     for (path, text) in files.with_extension(&["rs", "wesl", "wgsl", "md"]) {

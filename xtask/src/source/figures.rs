@@ -1,7 +1,8 @@
 //! Figures of the README against their records.
 //!
 //! A row of a table whose link leads to a record quotes one figure of it. The title of the link
-//! names the row of the record: `[streaming](docs/measurements/x/streaming.md "memory of a client")`.
+//! names the row of the record:
+//! `[streaming](docs/measurements/x/streaming.md "memory of a client")`.
 
 use super::{Files, Finding};
 use crate::records::link::{self, Link};

@@ -1,8 +1,8 @@
 //! Bakes relaxed cones on the GPU. The definition is in `cones`; here the work is cut into
 //! dispatches that every driver completes.
 //!
-//! Three steps, as of a read-back: [`ConeBake::start`], [`ConeBake::poll`] until it says that all is
-//! done, [`ConeBake::result`]. None of them waits, because a browser cannot.
+//! Three steps, as of a read-back: [`ConeBake::start`], [`ConeBake::poll`] until it says that all
+//! is done, [`ConeBake::result`]. None of them waits, because a browser cannot.
 
 use crate::features::pom::cones;
 use crate::features::pom::cones::MOST_CONES;

@@ -28,8 +28,8 @@ pub struct PomMaps {
 }
 
 impl PomMaps {
-    /// Maps over textures: `heights` as R32Float with all mip levels, `smooth` the same in the alpha
-    /// of a filterable texture, and the [`max_mips`] of the heights. Without cones.
+    /// Maps over textures: `heights` as R32Float with all mip levels, `smooth` the same in the
+    /// alpha of a filterable texture, and the [`max_mips`] of the heights. Without cones.
     #[must_use]
     pub fn over(
         device: &wgpu::Device,

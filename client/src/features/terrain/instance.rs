@@ -27,7 +27,8 @@ pub fn terrain_instance(
     let key = drawn.key;
     let (x, z) = key.origin();
     let words = chunk_words(drawn, chunk, parent);
-    // Integers first, so that the distance to a near chunk is exact at any distance from the origin.
+    // Integers first, so that the distance to a near chunk is exact at any distance from the
+    // origin.
     let relative = |low: i32, eye: i32| metres((i64::from(low) - i64::from(eye)) as f64) as f32;
     let period = PATTERN_PERIOD_M * UNITS_PER_METRE;
     TerrainInstance {

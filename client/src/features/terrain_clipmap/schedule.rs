@@ -57,8 +57,8 @@ impl Schedule {
     }
 
     /// Whether all tiles of a level that are shown from an eye are filled. Those at the rim of the
-    /// window follow within some frames; a level that waited for them would not be shown each time the
-    /// eye passes a tile.
+    /// window follow within some frames; a level that waited for them would not be shown each time
+    /// the eye passes a tile.
     #[must_use]
     pub fn is_ready(&self, level: u32, eye: &Eye) -> bool {
         !self.missing(level, eye).any(|place| self.size.is_shown(level, eye, place))

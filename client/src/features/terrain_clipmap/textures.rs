@@ -23,8 +23,8 @@ pub const ALL_TILES: usize = usize::MAX;
 /// Slopes east and south. Filterable on every device; eleven bits of precision at any slope.
 const SLOPE_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rg16Float;
 
-/// Heights above the sea, metres. No half float holds them; the shaders blend them themselves, because
-/// WebGPU does not filter this format by default.
+/// Heights above the sea, metres. No half float holds them; the shaders blend them themselves,
+/// because WebGPU does not filter this format by default.
 const HEIGHT_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::R32Float;
 
 /// Sky visibility.

@@ -72,8 +72,8 @@ impl ClipmapSize {
         (low(eye.units[0]), low(eye.units[2]))
     }
 
-    /// Whether a tile holds a place that is shown from an eye: one within the reach, and a texel more
-    /// for the filter.
+    /// Whether a tile holds a place that is shown from an eye: one within the reach, and a texel
+    /// more for the filter.
     #[must_use]
     pub fn is_shown(self, level: u32, eye: &Eye, (column, row): (i32, i32)) -> bool {
         let tile_m = f64::from(TILE_TEXELS) * self.spacing_m(level);

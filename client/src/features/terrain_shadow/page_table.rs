@@ -17,7 +17,7 @@ pub struct Page {
     /// Its slot in the pool.
     pub slot: u32,
     /// Its highest vertex, units.
-    pub top: i32,
+    pub max_height: i32,
 }
 
 /// The page table of a set of drawn chunks.
@@ -35,7 +35,7 @@ pub struct PageTable {
     origin: (i32, i32),
 }
 
-const EMPTY: PageNode = PageNode { link: EMPTY_LINK, top: i32::MIN };
+const EMPTY: PageNode = PageNode { link: EMPTY_LINK, max_height: i32::MIN };
 
 impl PageTable {
     /// The table of chunks of which none is an ancestor of another.
@@ -62,11 +62,11 @@ impl PageTable {
             let leaf = key.and_then(|key| leaves.get(&key));
             let children = key.filter(|key| split.contains(key)).and_then(ChunkKey::children);
             nodes.push(match (leaf, children) {
-                (Some(page), _) => PageNode { link: LEAF | page.slot, top: page.top },
+                (Some(page), _) => PageNode { link: LEAF | page.slot, max_height: page.max_height },
                 (None, Some(children)) if keys.len() + children.len() <= capacity => {
                     let link = keys.len() as u32;
                     keys.extend(children.map(Some));
-                    PageNode { link, top: i32::MIN }
+                    PageNode { link, max_height: i32::MIN }
                 }
                 _ => EMPTY,
             });
@@ -75,8 +75,8 @@ impl PageTable {
         for index in (0..nodes.len()).rev() {
             let first = nodes[index].link as usize;
             if nodes[index].link < EMPTY_LINK {
-                nodes[index].top =
-                    nodes[first..first + 4].iter().map(|child| child.top).max().unwrap_or(i32::MIN);
+                nodes[index].max_height =
+                    nodes[first..first + 4].iter().map(|child| child.max_height).max().unwrap_or(i32::MIN);
             }
         }
         Self {
@@ -90,9 +90,9 @@ impl PageTable {
 
     /// The highest point, units.
     #[must_use]
-    pub fn top(&self) -> i32 {
+    pub fn max_height(&self) -> i32 {
         let roots = (self.columns * self.rows) as usize;
-        self.nodes[..roots].iter().map(|node| node.top).max().unwrap_or(i32::MIN)
+        self.nodes[..roots].iter().map(|node| node.max_height).max().unwrap_or(i32::MIN)
     }
 
     /// Shader parameters of a chunk of the table.
@@ -156,7 +156,7 @@ mod tests {
     use terrain::constants::WORLD_HALF;
 
     fn page(level: u8, x: i32, z: i32, slot: u32) -> Page {
-        Page { key: ChunkKey::new(level, x, z).unwrap(), slot, top: slot as i32 * 100 }
+        Page { key: ChunkKey::new(level, x, z).unwrap(), slot, max_height: slot as i32 * 100 }
     }
 
     /// The slot that is drawn at a place by the table, as the shader descends.
@@ -174,7 +174,7 @@ mod tests {
             bits -= 1;
             let quarter = ((cell.0 >> bits) & 1) + 2 * ((cell.1 >> bits) & 1);
             let child = table.nodes[node.link as usize + quarter as usize];
-            assert!(child.top <= node.top, "a node below the top of what is under it");
+            assert!(child.max_height <= node.max_height, "a node below the highest point under it");
             node = child;
         }
         (node.link != EMPTY_LINK).then_some(node.link & !LEAF)
@@ -183,7 +183,7 @@ mod tests {
     #[test]
     fn an_empty_table_says_nothing() {
         let table = PageTable::of(&[], 10);
-        assert_eq!((found(&table, 0, 0), table.top()), (None, i32::MIN));
+        assert_eq!((found(&table, 0, 0), table.max_height()), (None, i32::MIN));
     }
 
     #[test]
@@ -203,7 +203,7 @@ mod tests {
         ] {
             assert_eq!(found(&table, x, z), slot, "({x}, {z})");
         }
-        assert_eq!(table.top(), 900);
+        assert_eq!(table.max_height(), 900);
         let far = table.target(&pages[3]);
         assert_eq!(
             (far.x, far.z, far.level),

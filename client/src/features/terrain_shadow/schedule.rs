@@ -146,7 +146,7 @@ mod tests {
 
     /// Chunks 0 to n - 1 in slots of the same number, the first `seen` of them in sight.
     fn drawn(n: i32, seen: i32) -> Vec<Candidate> {
-        let page = |x: i32| Page { key: ChunkKey::new(0, x, 0).unwrap(), slot: x as u32, top: 100 };
+        let page = |x: i32| Page { key: ChunkKey::new(0, x, 0).unwrap(), slot: x as u32, max_height: 100 };
         (0..n).map(|x| Candidate { page: page(x), is_visible: x < seen }).collect()
     }
 

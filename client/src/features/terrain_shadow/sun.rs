@@ -42,7 +42,7 @@ pub fn sun_params(sun: Vec3, table: &PageTable) -> SunParams {
         root_bits: table.root_bits,
         columns: table.columns,
         rows: table.rows,
-        top: table.top(),
+        max_height: table.max_height(),
         sky,
     }
 }

@@ -44,8 +44,8 @@ impl Species {
         }
     }
 
-    /// Entry points that draw a level of detail, in place of a shader's usual ones: of trees, the last
-    /// level is impostors. Leaves and impostors cover each of several samples by itself.
+    /// Entry points that draw a level of detail, in place of a shader's usual ones: of trees, the
+    /// last level is impostors. Leaves and impostors cover each of several samples by itself.
     fn entry_points(self, level: usize, samples: u32) -> [Option<&'static str>; 2] {
         match (self, level) {
             (Self::Tree, 2) if samples > 1 => [Some("far_vertex"), Some("sampled_far_fragment")],
@@ -76,8 +76,8 @@ pub struct VisibleClumps {
     pub leaves: wgpu::Buffer,
     /// Clumps of [`CLUMP_BYTES`] each; usage `VERTEX` and `STORAGE`.
     pub clumps: wgpu::Buffer,
-    /// What is prepared for each, [`PREPARED_BYTES`], after [`PREPARED_HEAD`] of them; usage `VERTEX`,
-    /// `STORAGE` and `COPY_DST`.
+    /// What is prepared for each, [`PREPARED_BYTES`], after [`PREPARED_HEAD`] of them; usage
+    /// `VERTEX`, `STORAGE` and `COPY_DST`.
     pub prepared: wgpu::Buffer,
     /// The region of `clumps`, in clumps, of each level of detail, finest first.
     pub regions: Vec<Range<u32>>,

@@ -25,7 +25,8 @@ const PATCH: i32 = FAR_PATCH_CELLS << (STEP_BITS + 2 - FINE_BITS);
 /// Most drawn chunks under the patches; the patches of others are dropped and counted.
 pub const MAX_FAR_CHUNKS: usize = 8_192;
 
-/// Sides of the grid that patches and places are counted in, patches. It reaches 16 km from the eye.
+/// Sides of the grid that patches and places are counted in, patches. It reaches 16 km from the
+/// eye.
 const GRID_PATCHES: i32 = 512;
 
 /// How far the block of a tree's density may lie from its place, units: 4 m.
@@ -64,8 +65,8 @@ pub struct FarTreeView<'a> {
 }
 
 impl FarTreeFrame {
-    /// The trees of a range of distances, metres; none if there are none. `margin_m` is how far a tree
-    /// reaches aside of its root, and above it.
+    /// The trees of a range of distances, metres; none if there are none. `margin_m` is how far a
+    /// tree reaches aside of its root, and above it.
     #[must_use]
     pub fn new(
         view: &FarTreeView<'_>,
@@ -201,7 +202,8 @@ fn has_density(chunk: &Resident, [east, south]: [i32; 2], spacing: i32) -> bool 
 fn eye_in(eye: &Eye, corner: [i32; 2]) -> [i32; 3] {
     let fine = f64::from(UNITS_PER_METRE << FINE_BITS);
     let fraction = eye.fraction_m.as_dvec3() * fine;
-    // Cannot overflow: heights are within 20 km, places within 16.5 km of the corner; 2^27 fine units.
+    // Cannot overflow: heights are within 20 km, places within 16.5 km of the corner; 2^27 fine
+    // units.
     let axis = |units: i32, low: i32, fraction: f64| ((units - low) << FINE_BITS) + fraction.round() as i32;
     [
         axis(eye.units[0], corner[0], fraction.x),

@@ -93,8 +93,8 @@ impl VegetationRenderer {
             };
             if let Some(existing) = self.species.iter_mut().find(|pass| pass.species == species) {
                 let old = (existing.buffers.culling.blocks, existing.buffers.culling.capacity);
-                // Grown to a power of two, so that a range that is dragged does not make new buffers in
-                // every frame.
+                // Grown to a power of two, so that a range that is dragged does not make new
+                // buffers in every frame.
                 let grown = |needed: u32, old: u32, most: u32| match needed > old {
                     true => needed.next_power_of_two().min(most).max(needed),
                     false => old,

@@ -28,16 +28,16 @@ const COARSE: f64 = FINE / (1 << COARSE_BITS) as f64;
 /// Share of the range over which heights collapse to 0 at its end.
 const COLLAPSE: f32 = 0.25;
 
-/// Far trees are thinned from here on, metres, unless they begin farther away; each as much wider as
-/// there are fewer.
+/// Far trees are thinned from here on, metres, unless they begin farther away; each as much wider
+/// as there are fewer.
 const FAR_THIN_FROM_M: f64 = 1500.0;
 
 /// Far trees begin so much nearer than single ones end, metres: none falls between their distances,
 /// which are rounded to 1/16 m.
 const FAR_OVERLAP_M: f64 = 0.5;
 
-/// Pixels per radian from which on plants have their full detail: 416 lines of a lens of 60 degrees, in
-/// which a blade at 3 m is about a pixel wide.
+/// Pixels per radian from which on plants have their full detail: 416 lines of a lens of 60
+/// degrees, in which a blade at 3 m is about a pixel wide.
 pub const FULL_DETAIL_PX: f64 = 360.0;
 
 /// Least factor of the distances of detail of grass: that of 83 lines.
@@ -46,8 +46,8 @@ pub const LEAST_DETAIL: f64 = 0.2;
 /// Least factor of those of trees.
 pub const LEAST_DETAIL_OF_TREES: f64 = 0.5;
 
-/// Width of a crown of mean size, metres, and its least width in pixels where its tree casts a shadow of
-/// its own.
+/// Width of a crown of mean size, metres, and its least width in pixels where its tree casts a
+/// shadow of its own.
 const CROWN_M: f64 = 4.5;
 const LEAST_CROWN_PX: f64 = 3.0;
 
@@ -174,7 +174,8 @@ impl SpeciesTraits {
         self.stand_m > self.range_m
     }
 
-    /// Share of the range over which heights sink to 0 at its end: where other trees go on, none do.
+    /// Share of the range over which heights sink to 0 at its end: where other trees go on, none
+    /// do.
     fn collapse(&self) -> f64 {
         if self.goes_on() { 0.0 } else { f64::from(COLLAPSE) }
     }
@@ -316,8 +317,8 @@ impl VegetationFrame {
     }
 }
 
-/// Factor of the distances at which the detail of plants falls, for images of this lens and size, at
-/// least `least`.
+/// Factor of the distances at which the detail of plants falls, for images of this lens and size,
+/// at least `least`.
 fn detail_scale(projection: &Projection, least: f64) -> f64 {
     let pixels_per_radian = f64::from(projection.height) / (2.0 * projection.half_height());
     (pixels_per_radian / FULL_DETAIL_PX).clamp(least, 1.0)

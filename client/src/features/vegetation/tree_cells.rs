@@ -36,7 +36,7 @@ impl TreeCells {
         &self.cells
     }
 
-    /// How far each cell looks for shadows.
+    /// Shadow search distance of each cell.
     #[must_use]
     pub fn marks(&self) -> &wgpu::Buffer {
         &self.marks

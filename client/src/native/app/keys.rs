@@ -44,8 +44,8 @@ pub const LINES: [(&str, &str); 14] = [
     ("Esc twice, Ctrl Q", "quit"),
 ];
 
-/// What a pressed key does, by its place on the keyboard; `writes_q` is whether it writes a Q in the
-/// user's layout. While a text field has the focus, keys that write do nothing else.
+/// What a pressed key does, by its place on the keyboard; `writes_q` is whether it writes a Q in
+/// the user's layout. While a text field has the focus, keys that write do nothing else.
 #[must_use]
 pub fn action(code: KeyCode, writes_q: bool, has_control: bool, is_typing: bool) -> Option<Action> {
     if writes_q && has_control {

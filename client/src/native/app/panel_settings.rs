@@ -15,15 +15,15 @@ use egui::{Slider, SliderClamping, Ui};
 pub fn image(ui: &mut Ui, settings: &mut ViewSettings, scene_sun: SunPosition) {
     let ViewSettings { render, day, .. } = settings;
     egui::Grid::new("picture").num_columns(2).show(ui, |ui| {
-        choice::<Show>(ui, "show", "The picture, or what it is made of", &mut render.show);
+        choice::<Show>(ui, "show", "Final image or a debug view", &mut render.show);
         sun(ui, &mut render.sun, day, scene_sun);
         let exposure = Slider::new(&mut render.exposure_ev, -8.0..=8.0).suffix(" EV");
         row(ui, "exposure", "Stops brighter or darker than the scene", exposure);
-        choice::<Shadows>(ui, "shadows", "Of the land on itself", &mut render.shadows);
-        choice::<Tiling>(ui, "tiling", "Hides that materials repeat", &mut render.tiling);
+        choice::<Shadows>(ui, "shadows", "Terrain self-shadowing", &mut render.shadows);
+        choice::<Tiling>(ui, "tiling", "Method against visible texture repetition", &mut render.tiling);
         choice::<WaterTier>(ui, "water", "How the depth of waves is found", &mut render.water);
         let steepness = Slider::new(&mut render.waves.steepness, 0.0..=4.0);
-        row(ui, "steepness", "Of the waves; 1 is a fresh breeze", steepness);
+        row(ui, "steepness", "Wave steepness; 1 is a fresh breeze", steepness);
     });
 }
 
@@ -40,9 +40,9 @@ fn sun(ui: &mut Ui, sun: &mut Option<SunPosition>, day: &mut Day, scene_sun: Sun
     ui.end_row();
     let mut place = sun.unwrap_or(scene_sun);
     let azimuth = Slider::new(&mut place.azimuth_deg, 0.0..=360.0).suffix("°");
-    let azimuth = row(ui, "azimuth", "Of the sun, clockwise from north", azimuth);
+    let azimuth = row(ui, "azimuth", "Sun azimuth, clockwise from north", azimuth);
     let elevation = Slider::new(&mut place.elevation_deg, -90.0..=90.0).suffix("°");
-    let elevation = row(ui, "elevation", "Of the sun above the horizon", elevation);
+    let elevation = row(ui, "elevation", "Sun elevation above the horizon", elevation);
     if azimuth || elevation {
         (*sun, *day) = (Some(place), Day::nearest_to(place));
     }
@@ -64,7 +64,7 @@ pub fn post(ui: &mut Ui, settings: &mut PostSettings) {
         ui.end_row();
         let bloom = Slider::new(&mut settings.bloom, 0.0..=1.0);
         row(ui, "bloom", "Light that spreads around bright places", bloom);
-        choice::<Antialias>(ui, "antialias", "Of the image; for one sample a pixel", &mut settings.antialias);
+        choice::<Antialias>(ui, "antialias", "Edge filter; for one sample a pixel", &mut settings.antialias);
         row(ui, "sharpen", "0 is off", Slider::new(&mut settings.sharpen, 0.0..=1.0));
         let scales = PostSettings::MIN_SCALE..=PostSettings::MAX_SCALE;
         let scale = Slider::new(&mut settings.render_scale, scales).step_by(0.05);
@@ -88,20 +88,21 @@ pub fn vegetation(ui: &mut Ui, settings: &mut VegetationSettings) {
         let tree_range = Slider::new(&mut settings.tree_range_m, farthest).suffix(" m");
         row(ui, "tree range", "Distance up to which trees stand", tree_range);
         row(ui, "wind", "0 is calm", Slider::new(&mut settings.wind, 0.0..=1.0));
-        row(ui, "lean", "Of grass away from an eye above it", Slider::new(&mut settings.lean, 0.0..=1.0));
+        row(ui, "lean", "Grass lean away from an eye above it", Slider::new(&mut settings.lean, 0.0..=1.0));
     });
 }
 
-/// Relief of materials. None builds a pipeline; the first selection of cones bakes them.
+/// Relief of materials. Changing a setting never builds a pipeline; selecting `cones` bakes the
+/// cone map once.
 pub fn pom(ui: &mut Ui, settings: &mut PomSettings, has_land: bool) {
     egui::Grid::new("relief").num_columns(2).show(ui, |ui| {
         choice::<PomMethod>(ui, "relief", "How the depth of materials is found", &mut settings.method);
         if settings.method == PomMethod::Cones && has_land {
             ui.label("");
-            ui.label("the land has no cones: using max mips");
+            ui.label("no cone maps for terrain; using maximum-mipmap traversal");
             ui.end_row();
         }
-        choice::<PomShadow>(ui, "shadow", "Of a relief on itself", &mut settings.shadow);
+        choice::<PomShadow>(ui, "shadow", "Relief self-shadowing", &mut settings.shadow);
         let amplitude = Slider::new(&mut settings.amplitude, 0.0..=PomSettings::MAX_AMPLITUDE);
         row(ui, "amplitude", "Factor of all height ranges", amplitude);
         let fade = Slider::new(&mut settings.fade_px, 0.0..=PomSettings::MAX_FADE_PX).suffix(" px");
@@ -128,11 +129,11 @@ pub fn laboratory(ui: &mut Ui, settings: &mut RenderSettings, has_land: bool) {
         row(ui, "water bias", "--parallax-bias: offset of the water surface", bias);
         let pom = &mut settings.pom;
         let steps = 1..=PomSettings::MAX_STEPS;
-        let down = Slider::new(&mut pom.steps_min, steps.clone()).logarithmic(true);
-        row(ui, "steps down", "Of the linear search, looking straight down", down);
-        let along = Slider::new(&mut pom.steps_max, steps).logarithmic(true);
-        row(ui, "steps along", "Of the linear search, along the surface", along);
-        choice::<Refine>(ui, "refine", "Of the intersection", &mut pom.refine);
+        let least = Slider::new(&mut pom.steps_min, steps.clone()).logarithmic(true);
+        row(ui, "min steps (view along normal)", "Least steps of the linear search", least);
+        let most = Slider::new(&mut pom.steps_max, steps).logarithmic(true);
+        row(ui, "max steps (grazing view)", "Most steps of the linear search", most);
+        choice::<Refine>(ui, "refine", "Refinement of the intersection", &mut pom.refine);
         let rounds = Slider::new(&mut pom.refinements, 0..=PomSettings::MAX_REFINEMENTS);
         row(ui, "refinements", "Iterations", rounds);
         choice::<LoopForm>(ui, "loop", "How the search ends", &mut pom.loop_form);
@@ -142,17 +143,21 @@ pub fn laboratory(ui: &mut Ui, settings: &mut RenderSettings, has_land: bool) {
         ui.checkbox(&mut pom.depth, "displaced");
         ui.end_row();
         let horizon = &mut pom.horizon;
-        row(ui, "horizon", "Strength of that silhouette", Slider::new(&mut horizon.strength, 0.0..=4.0));
-        row(ui, "height bias", "Of the horizon", Slider::new(&mut horizon.height_bias, 0.0..=1.0));
-        row(ui, "safe above", "Of the horizon", Slider::new(&mut horizon.safe_threshold, 0.0..=0.95));
-        row(ui, "falloff", "Of the horizon", Slider::new(&mut horizon.falloff, 0.5..=8.0));
+        row(ui, "horizon", "Horizon silhouette: strength", Slider::new(&mut horizon.strength, 0.0..=4.0));
+        let bias = Slider::new(&mut horizon.height_bias, 0.0..=1.0);
+        row(ui, "height bias", "Horizon silhouette: offset of the height", bias);
+        let threshold = Slider::new(&mut horizon.safe_threshold, 0.0..=0.95);
+        let hint = "Horizon silhouette: cosine of the view angle above which nothing is clipped";
+        row(ui, "safe threshold", hint, threshold);
+        let falloff = Slider::new(&mut horizon.falloff, 0.5..=8.0);
+        row(ui, "falloff", "Horizon silhouette: exponent of the falloff", falloff);
         if has_land {
             let plants = &mut settings.plants;
             choice::<Cull>(ui, "cull", "Visibility test of plants", &mut plants.cull);
-            let stay = Slider::new(&mut plants.stay, 0..=60).suffix(" frames");
-            row(ui, "stay", "How long plants stay drawn after they were visible", stay);
+            let hysteresis = Slider::new(&mut plants.stay, 0..=60).suffix(" frames");
+            row(ui, "hysteresis", "How long plants stay drawn after they were visible", hysteresis);
             let step = Slider::new(&mut plants.step_m, 0.25..=16.0).logarithmic(true).suffix(" m");
-            row(ui, "step", "Of --cull noise and march", step);
+            row(ui, "step", "Step length of --cull noise and march", step);
         }
     });
 }
@@ -185,7 +190,7 @@ mod tests {
     use egui::{Context, RawInput};
 
     /// Settings between the steps of their sliders and beyond their ends, while the day plays.
-    fn odd() -> ViewSettings {
+    fn off_step_settings() -> ViewSettings {
         let sun = Some(SunPosition { azimuth_deg: -90.125, elevation_deg: 12.345_67 });
         let mut render = RenderSettings { sun, exposure_ev: 0.123_456, ..RenderSettings::default() };
         (render.post.bloom, render.post.sharpen, render.post.render_scale) = (0.812_345, 0.123_456, 0.777_77);
@@ -199,7 +204,7 @@ mod tests {
 
     #[test]
     fn groups_that_are_open_change_no_setting() {
-        let (context, mut settings) = (Context::default(), odd());
+        let (context, mut settings) = (Context::default(), off_step_settings());
         for _ in 0..3 {
             let output = context.run_ui(RawInput::default(), |ui| {
                 image(ui, &mut settings, SunPosition::at_hour(9.0));
@@ -210,6 +215,6 @@ mod tests {
             });
             output.drop_without_applying_deltas();
         }
-        assert_eq!(settings, odd());
+        assert_eq!(settings, off_step_settings());
     }
 }

@@ -40,8 +40,8 @@ pub struct Timeouts {
     pub ping: Duration,
     /// Without any message: several pings were not answered.
     pub idle: Duration,
-    /// Without a chunk or the end of a view while some are due. Longer than a server under load lets a
-    /// view wait.
+    /// Without a chunk or the end of a view while some are due. Longer than a server under load
+    /// lets a view wait.
     pub progress: Duration,
     /// First delay before a new connection, and before a chunk is requested again.
     pub first_retry: Duration,

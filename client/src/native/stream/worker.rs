@@ -207,8 +207,8 @@ impl Worker {
             if self.send_event(event).await.is_err() {
                 return Ok(SessionEnd::Closing);
             }
-            // The drawing thread may have paused, and nothing was read meanwhile. A chunk that does not
-            // come is no progress.
+            // The drawing thread may have paused, and nothing was read meanwhile. A chunk that does
+            // not come is no progress.
             last_received = Instant::now();
             last_data = if is_missed { last_data + before.elapsed() } else { last_received };
         }

@@ -12,8 +12,8 @@ use std::f32::consts::{FRAC_PI_2, PI, TAU};
 /// Segments along both sides of displaced geometry; equal to the shader's constant.
 pub const GEOMETRY_SEGMENTS: u32 = 256;
 
-/// Segments along both sides of a plain ground. Some drivers place a triangle of kilometres metres off,
-/// so those near the middle, where the camera is, are small.
+/// Segments along both sides of a plain ground. Some drivers place a triangle of kilometres metres
+/// off, so those near the middle, where the camera is, are small.
 const GROUND_SEGMENTS: u32 = 32;
 
 /// Segments around a capsule: its corners are within 0.08 % of the radius.
@@ -71,7 +71,8 @@ impl Mesh {
         }
     }
 
-    /// A grid, and its four walls. `spaced` maps even steps from 0 to 1 to the places of grid lines.
+    /// A grid, and its four walls. `spaced` maps even steps from 0 to 1 to the places of grid
+    /// lines.
     fn plane(size: Vec2, tile_m: f32, segments: u32, spaced: fn(f32) -> f32) -> Self {
         let mut mesh = Self::default();
         let vertex = |part: Vec2| {

@@ -28,8 +28,8 @@ const ARRIVALS_PER_FRAME: usize = 48;
 /// Pause while a window cannot be drawn into.
 const HIDDEN_PAUSE: Duration = Duration::from_millis(50);
 
-/// Frames between two copies of the culling counts. At low frame rates fewer: a copy at least every so
-/// often.
+/// Frames between two copies of the culling counts. At low frame rates fewer: a copy at least every
+/// so often.
 const CULL_STATS_INTERVAL: usize = 60;
 const CULL_STATS_AGE: Duration = Duration::from_secs(2);
 
@@ -234,7 +234,8 @@ impl Running {
         vegetation.map(|vegetation| vegetation.copy_stats(&self.gpu.device, encoder))
     }
 
-    /// Takes the counts when they have come; never waits. A failed GPU is reported by the next frame.
+    /// Takes the counts when they have come; never waits. A failed GPU is reported by the next
+    /// frame.
     fn follow_cull_stats(&mut self, copy: Option<StatsCopy>) {
         self.plants_coming = self.plants_coming.take().or_else(|| copy.map(StatsCopy::start));
         let has_come = self.plants_coming.as_mut().map(|read| read.poll(&self.gpu.device));

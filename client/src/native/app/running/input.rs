@@ -59,7 +59,8 @@ impl Running {
             Action::Screenshot => self.takes_screenshot = true,
             Action::Pause => {
                 self.clock.is_paused = !self.clock.is_paused;
-                let line = if self.clock.is_paused { "time stands; Space goes on" } else { "time goes on" };
+                let line =
+                    if self.clock.is_paused { "time paused; press Space to resume" } else { "time goes on" };
                 self.notices.show(line, now, ANSWER_LASTS);
             }
             Action::ResetView => {

@@ -1,7 +1,7 @@
-//! Eyes inside steep ground, which the viewer lifts: whether the near plane cuts the land beside them.
-//! Land is drawn before magenta, as in [`crate::cracks`], by every lens at every vertical scale.
+//! Near-plane clipping for cameras that start below steep terrain. Land is drawn before magenta, as
+//! in [`crate::cracks`], at every field of view and every vertical scale.
 
-use crate::cracks::{LOWEST_M, judge};
+use crate::cracks::{LOWEST_M, count_gap_pixels};
 use crate::headless_renderer::HeadlessRenderer;
 use crate::sample::{self, unit, word};
 use client::cache::{ChunkCache, vertical_scale};
@@ -20,17 +20,17 @@ use terrain::{Chunk, ChunkKey, Land, Position, lod};
 use std::collections::BTreeMap;
 
 /// Vertical fields of view, degrees, and sizes of the pictures.
-const LENSES: [(f64, (u32, u32)); 5] =
+const FIELDS_OF_VIEW: [(f64, (u32, u32)); 5] =
     [(30.0, (64, 36)), (60.0, (64, 36)), (90.0, (36, 64)), (120.0, (84, 36)), (170.0, (64, 36))];
 
 /// Vertical scales of the land.
 const SCALES: [f64; 3] = [1.0, 1.8, 4.0];
 
-/// Stream of the eyes.
-const STREAM: u32 = 58;
+/// Stream of random numbers for the eyes.
+const RANDOM_STREAM: u32 = 58;
 
-/// Places of which the steepest becomes an eye.
-const CHOICE: u32 = 24;
+/// Candidates for an eye; the steepest place is taken.
+const CANDIDATES_PER_EYE: u32 = 24;
 
 /// View distance, metres.
 const VIEW_DISTANCE_M: u32 = 300;
@@ -43,26 +43,28 @@ const SLOTS: u32 = 2_048;
 pub struct Lifted {
     /// Eyes.
     pub eyes: u32,
-    /// Pictures: eyes x lenses x scales.
+    /// Pictures: eyes x fields of view x scales.
     pub pictures: u32,
     /// Pixels whose view ray must have met land.
     pub pixels: u64,
     /// How many of them were magenta.
     pub magenta: u64,
     /// The same with eyes half a metre above the ground under them: the control.
-    pub magenta_before: u64,
+    #[serde(rename = "magenta_before")]
+    pub magenta_control: u64,
 }
 
 /// Measures so many eyes.
 pub fn measure(land: &Land, eyes: u32) -> Result<Lifted, GpuError> {
-    let mut renderer = HeadlessRenderer::open(LENSES[0].1, SLOTS)?;
+    let mut renderer = HeadlessRenderer::open(FIELDS_OF_VIEW[0].1, SLOTS)?;
     let mut found = Lifted { eyes, ..Lifted::default() };
-    let places: Vec<(i32, i32)> = sample::land_points(land.world_seed(), eyes * CHOICE, STREAM).collect();
-    for (index, choice) in places.chunks_exact(CHOICE as usize).enumerate() {
+    let places: Vec<(i32, i32)> =
+        sample::land_points(land.world_seed(), eyes * CANDIDATES_PER_EYE, RANDOM_STREAM).collect();
+    for (index, choice) in places.chunks_exact(CANDIDATES_PER_EYE as usize).enumerate() {
         let Some(eye) = steepest(land, choice, index as u32) else { continue };
-        let mut made = BTreeMap::new();
+        let mut generated = BTreeMap::new();
         for scale in SCALES {
-            add(&mut renderer, land, &mut made, eye, scale, &mut found)?;
+            measure_eye(&mut renderer, land, &mut generated, eye, scale, &mut found)?;
         }
     }
     Ok(found)
@@ -77,21 +79,22 @@ fn steepest(land: &Land, places: &[(i32, i32)], index: u32) -> Option<Pose> {
         height(x + step, *z).abs_diff(here).max(height(*x, z + step).abs_diff(here))
     };
     let (x, z) = *places.iter().filter(|(x, z)| height(*x, *z) > 0).max_by_key(|place| rise(place))?;
-    // On a vertex of level 0, or anywhere.
+    // Every other eye on a vertex of level 0, the others anywhere.
     let step = 2 * UNITS_PER_METRE;
-    let on = |at: i32| if index.is_multiple_of(2) { at - at.rem_euclid(step) } else { at };
+    let snap_every_other = |at: i32| if index.is_multiple_of(2) { at - at.rem_euclid(step) } else { at };
     let metres = |units: i32| f64::from(units) / f64::from(UNITS_PER_METRE);
     Some(Pose {
-        position_m: [metres(on(x)), -64.0, metres(on(z))].into(),
-        yaw_deg: 360.0 * unit(word(STREAM, index)),
+        position_m: [metres(snap_every_other(x)), -64.0, metres(snap_every_other(z))].into(),
+        yaw_deg: 360.0 * unit(word(RANDOM_STREAM, index)),
         pitch_deg: [-60.0, -20.0, 0.0, 15.0][index as usize % 4],
     })
 }
 
-fn add(
+/// Counts the pixels of one eye in the land at one vertical scale.
+fn measure_eye(
     renderer: &mut HeadlessRenderer,
     land: &Land,
-    made: &mut BTreeMap<ChunkKey, Chunk>,
+    generated: &mut BTreeMap<ChunkKey, Chunk>,
     eye: Pose,
     scale: f64,
     found: &mut Lifted,
@@ -109,10 +112,10 @@ fn add(
             ..RenderSettings::default()
         },
     };
-    let viewer = view(eye, LENSES[1].0, LENSES[1].1).viewer();
+    let viewer = view(eye, FIELDS_OF_VIEW[1].0, FIELDS_OF_VIEW[1].1).viewer();
     let mut world = ChunkCache::new(renderer.slots());
     for needed in lod::select(land, &viewer, usize::MAX) {
-        let chunk = made.entry(needed.key).or_insert_with(|| land.chunk(needed.key));
+        let chunk = generated.entry(needed.key).or_insert_with(|| land.chunk(needed.key));
         world.insert(vertical_scale::scaled(chunk.clone(), (scale * 256.0) as i32));
     }
     let selection = select(&mut world, &viewer);
@@ -120,19 +123,19 @@ fn add(
     let units = eye.eye().units;
     let before = eye.above(world.ground(units[0], units[2]));
     let after = clearance::raised(before, &world, &selection.drawn);
-    for (fov_deg, size) in LENSES {
+    for (fov_deg, size) in FIELDS_OF_VIEW {
         let mut magenta = [0; 2];
         for (pose, magenta) in [before, after].into_iter().zip(&mut magenta) {
             let shot = view(pose, fov_deg, size);
             let mut frame = shot.frame(Scene::Island, &world, &selection);
             frame.background = Background::Plain([1.0, 0.0, 1.0]);
             let picture = renderer.picture_of(&frame, size)?;
-            let (pixels, cut) = judge(&shot, &picture, scale * LOWEST_M);
+            let (pixels, cut) = count_gap_pixels(&shot, &picture, scale * LOWEST_M);
             *magenta = cut;
             found.pixels += pixels;
         }
         found.pictures += 1;
-        found.magenta_before += magenta[0];
+        found.magenta_control += magenta[0];
         found.magenta += magenta[1];
     }
     Ok(())
