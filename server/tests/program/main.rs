@@ -302,7 +302,7 @@ fn refusing_store() -> (String, Arc<AtomicU32>) {
     (format!("http://{address}"), lists)
 }
 
-/// As S3 answers for objects that do not exist to whoever may not list the bucket.
+/// As S3 answers for objects that do not exist to a client that may not list the bucket.
 #[test]
 fn a_store_without_the_right_to_list_has_one_warning_and_is_asked_on() {
     let (endpoint, lists) = refusing_store();
