@@ -181,7 +181,7 @@ impl Bake {
             baked.written(ended(result)?);
             progress(&baked, total);
         }
-        // Also if it is stopped after its last pack: another run tells whether the region is complete.
+        // Also if it is stopped after its last pack: another run shows whether the region is complete.
         match stop.run_until_cancelled(self.has_all_packs()).await {
             Some(has_all) => baked.is_complete = has_all?,
             None => baked.is_stopped = true,

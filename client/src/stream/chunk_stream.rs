@@ -68,7 +68,7 @@ pub trait ChunkStream {
     fn poll(&mut self) -> Option<StreamEvent>;
     /// Sets the current view; replaces the previous one.
     fn set_view(&mut self, view: View);
-    /// Tells the server that these chunks were evicted, so that it may send them again.
+    /// Reports evicted chunks to the server, which may send them again.
     fn release(&mut self, keys: &[ChunkKey]);
     /// Reports the resident chunks after a reconnect.
     fn holding(&mut self, keys: &[ChunkKey]);

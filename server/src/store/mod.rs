@@ -185,7 +185,7 @@ impl Store {
         let inner = &self.inner;
         let key = id.key;
         let tile = inner.whole_pack(id);
-        // Without a pack nobody writes these.
+        // Without a pack no server writes these.
         if tile.is_none() && key.level() < FINEST_LEVEL {
             return None;
         }
@@ -393,7 +393,7 @@ impl Inner {
     }
 
     /// An object that does not exist is no error. Nor is one that may not be read: this is how S3
-    /// answers for an absent object to whoever may not list the bucket, and such answers would stop
+    /// answers for an absent object to a client that may not list the bucket, and such answers would stop
     /// all reads.
     fn found<T>(&self, result: object_store::Result<T>) -> object_store::Result<Option<T>> {
         match result {

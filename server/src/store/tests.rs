@@ -450,7 +450,7 @@ async fn chunks_of_a_lost_pack_become_objects_of_their_own() {
     }
 }
 
-/// Nobody writes an object of such a chunk: it is looked for once, in the pack.
+/// No server writes an object of such a chunk: it is looked for once, in the pack.
 #[tokio::test(flavor = "multi_thread")]
 async fn chunks_of_a_lost_pack_finer_than_all_stored_levels_are_only_made() {
     let objects = Arc::new(InMemory::new());

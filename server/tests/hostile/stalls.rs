@@ -20,7 +20,7 @@ const EACH: usize = 4;
 /// Time between two bytes.
 const PAUSE: Duration = Duration::from_millis(20);
 
-fn hasty() -> ServerConfig {
+fn short_timeouts() -> ServerConfig {
     ServerConfig { handshake_timeout: Duration::from_millis(700), ..config() }
 }
 
@@ -50,7 +50,7 @@ async fn dribble(mut stream: TcpStream, start: &'static str) -> (Vec<u8>, usize)
 
 #[tokio::test]
 async fn a_head_that_comes_byte_by_byte_ends_with_its_time_and_others_are_served() {
-    let server = Server::start(hasty()).await;
+    let server = Server::start(short_timeouts()).await;
     let mut session = crate::client::Session::open(&server).await;
     let mut slow = tokio::task::JoinSet::new();
     for start in STARTS.into_iter().cycle().take(EACH * STARTS.len()) {
@@ -86,7 +86,7 @@ async fn a_head_that_comes_byte_by_byte_ends_with_its_time_and_others_are_served
 
 #[tokio::test]
 async fn a_connection_without_a_byte_ends_with_the_time_of_a_head() {
-    let server = Server::start(hasty()).await;
+    let server = Server::start(short_timeouts()).await;
     let mut silent = Vec::new();
     for _ in 0..EACH {
         silent.push(server.connect().await);

@@ -351,7 +351,7 @@ mod tests {
     }
 
     #[test]
-    fn an_error_is_remembered_after_its_last_measurement_and_asking_measures_nothing() {
+    fn an_error_is_remembered_after_its_last_measurement_and_a_query_measures_nothing() {
         let land = Land::new(0x5eed_0003);
         let key = ChunkKey::new(3, 0, 0).unwrap();
         for _ in 0..16 {
