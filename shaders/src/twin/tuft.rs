@@ -53,15 +53,15 @@ pub fn tuft_vertex(
     if level == 2 {
         return quad_vertex(index, size_m, phase, pose);
     }
-    return blade_vertex(pose, level, index, size_m, phase, distance_m);
+    return blade_vertex(level, index, size_m, phase, pose, distance_m);
 }
 
 fn blade_vertex(
-    pose: &StemPose,
     level: u32,
     index: u32,
     size_m: Vec2,
     phase: f32,
+    pose: &StemPose,
     distance_m: f32,
 ) -> TuftVertex {
     let segments = if level == 0 { 3 } else { 1 };

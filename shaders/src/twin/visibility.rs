@@ -434,8 +434,8 @@ pub fn sloped_occludee<S: Slots>(
 /// Whether a clump of a quarter of a block may be within its draw distance and in the frustum.
 fn has_clump<S: Slots>(
     surface: &Surface<'_, S>,
-    planting: &Planting,
     culling: &Culling,
+    planting: &Planting,
     column: i32,
     row: i32,
 ) -> bool {
@@ -499,7 +499,7 @@ pub fn block_is_seen<S: Slots>(
     for quarter in 0..4 {
         let (x, z) = (2 * column + (quarter & 1), 2 * row + (quarter >> 1));
         let Some(part) = block_extent(surface, culling, planting, bits, x, z) else { continue };
-        if !may_be_in_view(culling, &part.extent) || !has_clump(surface, planting, culling, x, z) {
+        if !may_be_in_view(culling, &part.extent) || !has_clump(surface, culling, planting, x, z) {
             continue;
         }
         let occludee = sloped_occludee(surface, planting, bits, x, z, &part);
