@@ -49,7 +49,7 @@ impl StoreAddress {
 
     /// The store and the path of its root. Nothing is sent yet.
     ///
-    /// A folder has to exist ([`Folder`]).
+    /// A folder has to exist, and is not created again where it disappears later.
     ///
     /// # Errors
     /// The settings of the engine are invalid, or the folder does not exist.
