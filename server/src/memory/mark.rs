@@ -1,6 +1,6 @@
 //! The memory mark: while the process uses more of its memory than a share, no further session
-//! begins, and open ones get nothing that takes more. The rest is for the data that they hold
-//! already.
+//! begins, and open sessions receive no new views or chunks. The rest is for the data that they
+//! hold already.
 //!
 //! The memory that many sessions hold together may still grow. If the memory stays beyond the mark,
 //! sessions end, few at a time; close to the limit, many: otherwise the system would end the
@@ -21,10 +21,10 @@ use std::time::{Duration, Instant};
 const MARK: (u64, u64) = (6, 5);
 
 /// The share beyond which many sessions end, in eighths.
-const DANGER: u64 = 7;
+const CRITICAL_EIGHTHS: u64 = 7;
 
-/// Time between two looks. A look takes some microseconds; views of many sessions that are selected
-/// at once take some 10 MiB in this time.
+/// Polling interval. A poll takes some microseconds; views of many sessions that are selected at
+/// once take some 10 MiB in this time.
 const INTERVAL: Duration = Duration::from_millis(25);
 
 /// Memory that a session may take before the server notices, and the time in which as many sessions
@@ -35,7 +35,7 @@ const ADMISSION: Duration = Duration::from_millis(250);
 /// Sessions that end at once, as a divisor of the open ones, and the time until the next ones:
 /// beyond the mark, and in danger. In the second time the memory of the first ones is given back.
 const SHED: (usize, Duration) = (8, Duration::from_secs(1));
-const SHED_IN_DANGER: (usize, Duration) = (2, Duration::from_millis(100));
+const SHED_IN_CRITICAL_EIGHTHS: (usize, Duration) = (2, Duration::from_millis(100));
 
 /// See the module.
 #[derive(Debug)]
@@ -135,8 +135,8 @@ impl Pace {
     /// How many of the open sessions end now.
     fn due(&mut self, used: u64, limit: u64, open: usize, now: Instant) -> usize {
         // The allocator gives memory back late: what does not grow is not in danger.
-        let is_in_danger = used >= limit / 8 * DANGER && used > self.used;
-        let (divisor, pause) = if is_in_danger { SHED_IN_DANGER } else { SHED };
+        let is_in_danger = used >= limit / 8 * CRITICAL_EIGHTHS && used > self.used;
+        let (divisor, pause) = if is_in_danger { SHED_IN_CRITICAL_EIGHTHS } else { SHED };
         if now < self.last + pause {
             return 0;
         }

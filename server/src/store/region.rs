@@ -1,5 +1,5 @@
-//! Baked regions: which tiles have packs. The object of a region is written after all its packs, so
-//! a server that finds it finds all of them.
+//! Baked regions: rectangles of tiles whose packs exist. The manifest of a region is written after
+//! all its packs, so a server that finds it finds all of them.
 
 use super::tile::{PackTile, SIDE};
 use serde::{Deserialize, Serialize};
@@ -22,7 +22,7 @@ impl BakedRegion {
     /// A region, if its borders are in order and in the world.
     ///
     /// # Errors
-    /// The fault, with the limits.
+    /// The invalid value and the allowed range.
     pub fn new(levels: &RangeInclusive<u8>, area_m: [i32; 4]) -> Result<Self, String> {
         let (finest, coarsest) = (*levels.start(), *levels.end());
         if finest > coarsest || coarsest > TOP_LEVEL {
@@ -47,7 +47,7 @@ impl BakedRegion {
         format!("{}-{}_{west}_{north}_{east}_{south}.json", self.finest, self.coarsest)
     }
 
-    /// Whether its packs have this tile.
+    /// Whether the region contains the tile.
     #[must_use]
     pub fn contains(&self, tile: PackTile) -> bool {
         (self.finest..=self.coarsest).contains(&tile.level) && {

@@ -1,7 +1,7 @@
 //! Message assembly: bytes in, whole messages out.
 //!
 //! Holds at most one unfinished message and the frames of one read behind it. An empty inbox holds
-//! no memory. Behind a Close frame nothing is read, and behind a violation nothing can be.
+//! no memory. After a Close frame or a protocol violation no further bytes are parsed.
 
 use super::close::Close;
 use super::frame::{FrameError, Header, MAX_CLIENT_HEADER, Opcode, read_header, unmask};
@@ -22,7 +22,7 @@ pub enum Message<'a> {
     Close(Close<'a>),
 }
 
-/// See the module.
+/// Assembles the frames of a client into messages.
 #[derive(Debug)]
 pub struct Inbox {
     /// Longest message, bytes.
