@@ -15,7 +15,7 @@ use client::view::ViewParams;
 use protocol::client::{ClientConfig, ClientSession, Event};
 use protocol::limits::{CHUNK_HEADER, MAX_SERVER_FRAME};
 use protocol::message::{ServerMessage, Settled, Welcome};
-use protocol::{DataFrame, Delivery, SUBPROTOCOL};
+use protocol::{DataFrame, Delivery, SUBPROTOCOL, chunk_codec};
 use server::{Behaviour, HostileServer};
 use std::io::Write as _;
 use std::net::TcpStream;
@@ -152,6 +152,43 @@ fn wrong_key(_: ChunkKey) -> Option<Bytes> {
     Some(server::correct(far_away()))
 }
 
+/// Lowest and highest height in each other's place, with a digest that fits.
+fn swapped_extremes(key: ChunkKey) -> Option<Bytes> {
+    let mut frame = server::correct(key).to_vec();
+    let (lowest, highest) = (20..24, 24..28);
+    let [low, high] = [lowest.clone(), highest.clone()].map(|field| frame[field].to_vec());
+    assert_ne!(low, high, "{key} has relief");
+    frame[lowest].copy_from_slice(&high);
+    frame[highest].copy_from_slice(&low);
+    Some(resealed(frame))
+}
+
+/// Patterns of NaN in place of the payload, or of all numbers of the header, with a digest that
+/// fits.
+fn nan_payload(key: ChunkKey) -> Option<Bytes> {
+    let mut frame = server::correct(key).to_vec();
+    for (byte, pattern) in frame[CHUNK_HEADER..].iter_mut().zip(NAN.into_iter().cycle()) {
+        *byte = pattern;
+    }
+    Some(resealed(frame))
+}
+
+fn nan_header(key: ChunkKey) -> Option<Bytes> {
+    let mut frame = server::correct(key).to_vec();
+    for number in frame[16..36].chunks_exact_mut(4) {
+        number.copy_from_slice(&NAN);
+    }
+    Some(resealed(frame))
+}
+
+/// The quiet NaN of a 32-bit float.
+const NAN: [u8; 4] = 0x7fc0_0000_u32.to_le_bytes();
+
+fn resealed(mut frame: Vec<u8>) -> Bytes {
+    chunk_codec::reseal(&mut frame, &server::land().digest(), None);
+    frame.into()
+}
+
 /// A connection as the server sees it.
 type Peer = WebSocket<TcpStream>;
 
@@ -161,13 +198,16 @@ type Act = Arc<dyn Fn(&mut Peer) + Send + Sync>;
 type Wrong = fn(ChunkKey) -> Option<Bytes>;
 
 /// Wrong chunks, with what the viewer says of them.
-const WRONG_CHUNKS: [(&str, Wrong, &str); 6] = [
+const WRONG_CHUNKS: [(&str, Wrong, &str); 9] = [
     ("wrong key", wrong_key, "neither requested nor needed"),
     ("wrong digest", with_wrong_digest, "digest"),
     ("out of range", with_absurd_error, "larger than the range"),
     ("decompression bomb", bomb, "decompress"),
     ("another version", |key| changed(key, 4), "version"),
     ("cut off", |key| Some(server::correct(key).slice(..40)), "truncated"),
+    ("swapped extremes", swapped_extremes, "extremes"),
+    ("a header of NaN", nan_header, "breaks a rule"),
+    ("a payload of NaN", nan_payload, "cut off"),
 ];
 
 fn changed(key: ChunkKey, at: usize) -> Option<Bytes> {
@@ -197,6 +237,27 @@ fn a_view_completes_once_the_server_sends_correct_chunks() {
         // A known key is requested again; for an unknown one the session starts again.
         let restarted = outcome.causes.iter().any(|cause| cause.contains("starts again"));
         assert!(outcome.traffic.retried_chunks > 0 || restarted, "{name}: {:?}", outcome.causes);
+    }
+}
+
+/// The chunk of a key with other heights.
+fn with_heights(key: ChunkKey, height: impl Fn(i32) -> i32) -> Option<Bytes> {
+    let Chunk { mut heights, error, grass, .. } = server::land().chunk(key);
+    heights.iter_mut().for_each(|value| *value = height(*value));
+    Some(server::frame_of(&Chunk::from_parts(key, heights, error, grass)))
+}
+
+/// A viewer of exact chunks does not know the land: heights that keep the rules are drawn.
+#[test]
+fn heights_of_another_land_complete_the_view_without_a_complaint() {
+    let flat: Wrong = |key| with_heights(key, |_| 0);
+    // A parent that lies 1 km below its children, farther than its error says.
+    let low_parents: Wrong = |key| with_heights(key, |height| height - 1000 * 256 * i32::from(key.level()));
+    for (name, other) in [("zero heights", flat), ("parents below their children", low_parents)] {
+        let outcome = run(server::always_wrong(other));
+        assert!(outcome.is_complete && outcome.causes.is_empty(), "{name}: {:?}", outcome.causes);
+        let Traffic { bad_chunks, refused_chunks, retried_chunks, .. } = outcome.traffic;
+        assert_eq!((bad_chunks, refused_chunks, retried_chunks), (0, 0, 0), "{name}");
     }
 }
 
@@ -351,6 +412,29 @@ fn a_server_that_says_nothing_or_drips_is_left_with_a_reason() {
         assert!(outcome.causes.iter().all(|cause| cause.contains(word)), "{part}: {:?}", outcome.causes);
         assert_eq!(outcome.causes.len(), 2, "it is tried again");
     }
+}
+
+/// After the Welcome.
+#[test]
+fn a_server_that_stops_answering_pings_is_left_and_one_that_answers_is_not() {
+    let behaviour = |answers_pings: bool| -> Behaviour {
+        Arc::new(move |stream, _| {
+            let Some(mut socket) = server::websocket(stream) else { return };
+            server::send(&mut socket, &ServerMessage::Welcome(server::welcome()));
+            if answers_pings {
+                return server::listen(&mut socket);
+            }
+            server::swallow(socket.get_ref().try_clone().unwrap());
+        })
+    };
+    let timeouts = Timeouts { ping: MS(100), idle: MS(500), ..LONG };
+    let silent = run_on(behaviour(false), |settings| Settings { timeouts, ..settings }, 2);
+    assert!(silent.causes.iter().all(|cause| cause.contains("no message")), "{:?}", silent.causes);
+    assert_eq!(silent.causes.len(), 2, "it is tried again");
+    // The control: pings are answered, and the wait for a chunk ends instead.
+    let timeouts = Timeouts { progress: Duration::from_secs(3), ..timeouts };
+    let answering = run_on(behaviour(true), |settings| Settings { timeouts, ..settings }, 1);
+    assert!(answering.causes[0].contains("no chunk"), "{:?}", answering.causes);
 }
 
 #[test]
