@@ -119,15 +119,20 @@ async fn an_address_that_guesses_tokens_is_throttled_and_others_are_not() {
     assert!(server.metric("tombolo_tokens_refused_total{outcome=\"wrong\"}").await >= 10.0);
 }
 
-#[tokio::test]
-async fn tokens_of_a_list_are_valid_until_they_end() {
-    let path = std::env::temp_dir().join(format!("tombolo-tokens-{}.toml", std::process::id()));
+/// A server with an expired token, `one`, and a valid one, `two`, from a file of this name.
+async fn with_token_list(name: &str) -> Server {
+    let path = std::env::temp_dir().join(format!("tombolo-{name}-{}.toml", std::process::id()));
     let list = "[[token]]\nname = \"old\"\ntoken = \"one\"\nexpires = 2020-01-01T00:00:00Z\n\
         [[token]]\nname = \"new\"\ntoken = \"two\"\nexpires = 2999-01-01T00:00:00Z\n";
     std::fs::write(&path, list).unwrap();
     let tokens = TokenFile::new(path.clone()).read().unwrap();
     std::fs::remove_file(path).unwrap();
-    let server = Server::start_with(ServerConfig { tokens: Some(tokens), ..config() }).await;
+    Server::start_with(ServerConfig { tokens: Some(tokens), ..config() }).await
+}
+
+#[tokio::test]
+async fn tokens_of_a_list_are_valid_until_they_end() {
+    let server = with_token_list("tokens").await;
     let expired = server.request("GET", "/v1/live", &[("Authorization", "Bearer one")]).await;
     assert_eq!(expired.status, 401);
     assert!(expired.json()["detail"].as_str().unwrap().contains("expired"));
@@ -137,13 +142,7 @@ async fn tokens_of_a_list_are_valid_until_they_end() {
 
 #[tokio::test]
 async fn an_expired_token_opens_no_session() {
-    let path = std::env::temp_dir().join(format!("tombolo-expired-{}.toml", std::process::id()));
-    let list = "[[token]]\nname = \"old\"\ntoken = \"one\"\nexpires = 2020-01-01T00:00:00Z\n\
-        [[token]]\nname = \"new\"\ntoken = \"two\"\nexpires = 2999-01-01T00:00:00Z\n";
-    std::fs::write(&path, list).unwrap();
-    let tokens = TokenFile::new(path.clone()).read().unwrap();
-    std::fs::remove_file(path).unwrap();
-    let server = Server::start_with(ServerConfig { tokens: Some(tokens), ..config() }).await;
+    let server = with_token_list("expired").await;
     // In a header or in an entry beside the subprotocol it is refused before the handshake.
     let entry = |token: &str| format!("tombolo.bearer.{}", BASE64URL_NOPAD.encode(token.as_bytes()));
     for (token, status) in [("one", 401), ("two", 101)] {

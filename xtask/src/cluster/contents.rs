@@ -2,6 +2,7 @@
 //! a cache that is a day old, after the replicas were replaced, one of them by another build.
 
 use super::Cluster;
+use super::chunks::settled;
 use super::http::{Answer, get, world};
 use super::objects::files;
 use crate::process;
@@ -68,9 +69,10 @@ fn builds() -> Result<Vec<Bar>> {
     let get_all = |address| paths.iter().map(|path| get(address, path)).collect::<Result<Vec<_>>>();
     let filled = get_all(proxy)?;
     // nginx stores an answer just after it has sent it.
-    std::thread::sleep(std::time::Duration::from_millis(500));
+    let cache = cluster.nginx.cache();
+    settled(|| Ok(files(&cache)?.len() as f64))?;
     cluster.nginx.stop();
-    age(&cluster.nginx.cache(), DAY)?;
+    age(&cache, DAY)?;
     cluster.replicas =
         vec![Server::start(super::WORLD_SEED)?, Server::start_program(&other, super::WORLD_SEED, &[])?];
     let replicas: Vec<_> = cluster.replicas.iter().map(Server::address).collect();
@@ -84,7 +86,7 @@ fn builds() -> Result<Vec<Bar>> {
     // The control: beyond their validity answers are no longer taken from the cache as they are.
     let longest_s = filled.iter().filter_map(|answer| answer.max_age_s).max().unwrap_or(0);
     cluster.nginx.stop();
-    age(&cluster.nginx.cache(), longest_s)?;
+    age(&cache, longest_s)?;
     cluster.nginx.restart(&replicas)?;
     let expired = get_all(proxy)?;
     let hits_beyond = expired.iter().filter(|answer| answer.cache == "HIT").count() as f64;
