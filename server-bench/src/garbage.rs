@@ -7,6 +7,7 @@
 use crate::Plan;
 use crate::clients::other_thread;
 use crate::connection::{next_frame, open};
+use crate::resealer::Resealer;
 use crate::server_process::{ChildProcess, ServerProcess, count_failures};
 use anyhow::{Context, Result};
 use bars::Bar;
@@ -55,6 +56,8 @@ enum Kind {
     Nothing,
     /// Changes single bytes of payloads.
     PayloadBytes,
+    /// The same in chunks, which get the digests of their bytes: the viewer decodes them.
+    ResealedChunks,
     /// Replaces every fourth payload by random bytes of the same length.
     RandomPayloads,
     /// Repeats every payload, so that the second answers no request.
@@ -73,9 +76,10 @@ enum Kind {
 
 impl Kind {
     /// Those that most viewers meet in turn.
-    const ALL: [Self; 8] = [
+    const ALL: [Self; 9] = [
         Self::Nothing,
         Self::PayloadBytes,
+        Self::ResealedChunks,
         Self::RandomPayloads,
         Self::Repeated,
         Self::StreamBytes,
@@ -188,7 +192,7 @@ async fn accept(
 
 async fn session(mut client: TcpStream, server: SocketAddr, kind: Kind, seed: u64) -> Result<()> {
     let chunks = if seed == 0 { FIRST_CHUNKS } else { 0 };
-    let mut spoiler = Spoiler { kind, random: Random(seed), frames: 0, chunks };
+    let mut spoiler = Spoiler::new(kind, Random(seed), chunks);
     if matches!(kind, Kind::NoHttp) {
         client.write_all(&spoiler.random_bytes(4096)).await?;
         return Ok(());
@@ -233,9 +237,14 @@ struct Spoiler {
     frames: usize,
     /// Chunks that still pass before a cut in a chunk.
     chunks: usize,
+    resealer: Resealer,
 }
 
 impl Spoiler {
+    fn new(kind: Kind, random: Random, chunks: usize) -> Self {
+        Self { kind, random, frames: 0, chunks, resealer: Resealer::default() }
+    }
+
     /// Adds what the client gets in place of a frame, whose payload begins at `start`. Whether the
     /// stream goes on.
     fn spoil(&mut self, frame: &[u8], start: usize, spoilt: &mut Vec<u8>) -> bool {
@@ -246,6 +255,13 @@ impl Spoiler {
         match self.kind {
             Kind::Nothing | Kind::NoHttp => {}
             Kind::PayloadBytes => self.change(&mut added[start..]),
+            Kind::ResealedChunks => {
+                self.resealer.read(&frame[start..]);
+                if frame[start..].starts_with(&MAGIC) {
+                    self.change(&mut added[start..]);
+                    self.resealer.reseal(&mut added[start..]);
+                }
+            }
             Kind::StreamBytes => self.change(added),
             Kind::RandomPayloads if self.frames.is_multiple_of(4) => {
                 let random = self.random_bytes(added.len() - start);
@@ -335,6 +351,9 @@ pub fn notes(figures: &Value) -> Vec<String> {
 mod tests {
     use super::*;
     use crate::test_bars::{check, check_without_peers};
+    use protocol::message::{ServerMessage, Welcome};
+    use protocol::{ChunkError, chunk_codec, control};
+    use terrain::{ChunkKey, Land};
 
     #[test]
     fn each_bar_can_be_missed() {
@@ -360,7 +379,8 @@ mod tests {
         let frame: Vec<u8> =
             [0x82, 126, 0x9c, 0x40].into_iter().chain((0..40_000).map(|n| n as u8)).collect();
         let spoilt = |kind| {
-            let mut spoiler = Spoiler { kind, random: Random(1), frames: 3, chunks: 0 };
+            let mut spoiler = Spoiler::new(kind, Random(1), 0);
+            spoiler.frames = 3;
             let mut bytes = Vec::new();
             let goes_on = spoiler.spoil(&frame, 4, &mut bytes);
             (bytes, goes_on)
@@ -378,9 +398,40 @@ mod tests {
         assert_eq!(spoilt(Kind::RandomPayloads).0[..4], frame[..4]);
         assert_eq!(spoilt(Kind::Repeated), ([&frame[..], &frame[..]].concat(), true));
         assert!(!spoilt(Kind::RandomStream).1);
-        let mut cut = Spoiler { kind: Kind::Cut, random: Random(1), frames: 7, chunks: 0 };
+        let mut cut = Spoiler::new(Kind::Cut, Random(1), 0);
+        cut.frames = 7;
         let mut bytes = Vec::new();
         assert!(!cut.spoil(&frame, 4, &mut bytes) && bytes.len() == frame.len() / 2);
+    }
+
+    #[test]
+    fn a_resealed_chunk_has_other_bytes_and_is_decoded() {
+        let land = Land::new(1);
+        let key = ChunkKey::new(0, 0, 0).unwrap();
+        let chunk = chunk_codec::encode(&land.chunk(key), &land.digest());
+        let welcome = ServerMessage::Welcome(Welcome {
+            session: 1,
+            world_seed: 1,
+            generator_version: 1,
+            digest: land.digest().0,
+            max_credits: 1,
+            max_view_distance_m: 1,
+            software: String::new(),
+        });
+        let welcome = control::encode(&welcome).unwrap();
+        let framed = |payload: &[u8]| [&[0x82, 126, 0, 0], payload].concat();
+        let mut spoiler = Spoiler::new(Kind::ResealedChunks, Random(1), 0);
+        let mut bytes = Vec::new();
+        assert!(spoiler.spoil(&framed(&welcome), 4, &mut bytes));
+        assert_eq!(bytes, framed(&welcome));
+        let decoded = (0..1000).filter_map(|_| {
+            bytes.clear();
+            assert!(spoiler.spoil(&framed(&chunk), 4, &mut bytes));
+            (bytes[4..] != chunk[..]).then(|| chunk_codec::decode(&bytes[4..], &land.digest()))
+        });
+        let decoded: Vec<_> = decoded.collect();
+        assert!(!decoded.contains(&Err(ChunkError::Digest)));
+        assert!(decoded.iter().any(Result::is_ok) && decoded.iter().any(Result::is_err));
     }
 
     #[test]
@@ -397,7 +448,7 @@ mod tests {
     fn a_cut_in_a_chunk_passes_other_frames_and_the_first_chunks() {
         let frame = |payload: &[u8]| [&[0x82, payload.len() as u8], payload].concat();
         let (control, chunk) = (frame(b"welcome"), frame(&[&MAGIC[..], &[1; 16]].concat()));
-        let mut cut = Spoiler { kind: Kind::CutInChunk, random: Random(1), frames: 0, chunks: 1 };
+        let mut cut = Spoiler::new(Kind::CutInChunk, Random(1), 1);
         let mut bytes = Vec::new();
         assert!(cut.spoil(&control, 2, &mut bytes) && cut.spoil(&chunk, 2, &mut bytes));
         assert_eq!(bytes, [&control[..], &chunk[..]].concat());

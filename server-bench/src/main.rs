@@ -27,6 +27,7 @@ mod memory_cap;
 mod nginx;
 mod overload;
 mod polite;
+mod resealer;
 mod rounds;
 mod server_process;
 mod stampede;

@@ -132,7 +132,7 @@ impl Default for ServerConfig {
             message_timeout: Duration::from_secs(5),
             write_timeout: Duration::from_secs(10),
             ping_interval: Duration::from_secs(20),
-            drain_timeout: Duration::from_secs(10),
+            drain_timeout: Duration::from_secs(5),
             without: None,
             traces: None,
             log: DEFAULT_LOG.into(),

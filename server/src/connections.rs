@@ -3,9 +3,9 @@
 //! places.
 
 use crate::limits::networks::client_site;
-use std::collections::{BTreeMap, HashMap};
+use crate::site_index::SiteIndex;
+use std::collections::HashMap;
 use std::net::IpAddr;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tokio::sync::Notify;
 
@@ -19,10 +19,10 @@ pub struct OpenConnections {
 struct Table {
     /// Number of the next connection.
     next: u64,
-    /// Connections that were not chosen to end, the oldest first.
-    connections: BTreeMap<u64, (IpAddr, Arc<ConnectionState>)>,
-    /// Connections of each site among them.
-    sites: HashMap<IpAddr, usize>,
+    /// Site and signal of each connection that was not chosen to end.
+    connections: HashMap<u64, (IpAddr, Arc<Notify>)>,
+    /// The same by site; busy while a request is answered.
+    sites: SiteIndex<IpAddr>,
 }
 
 /// Why a connection ended before a request, or for another one.
@@ -54,53 +54,51 @@ impl ConnectionFailure {
     }
 }
 
-/// State of a connection, shared with the table.
+/// State of a connection. The default is one that nothing displaces.
 #[derive(Debug, Default)]
 pub struct ConnectionState {
-    /// Whether a request is being answered.
-    is_busy: AtomicBool,
-    displaced: Notify,
+    displaced: Arc<Notify>,
+    entry: Option<TableEntry>,
+}
+
+/// An entry of the table.
+#[derive(Debug)]
+struct TableEntry {
+    site: IpAddr,
+    number: u64,
+    connections: OpenConnections,
 }
 
 /// An open connection; leaves the table on drop.
 #[derive(Debug)]
 pub struct OpenConnection {
-    number: u64,
     state: Arc<ConnectionState>,
-    connections: OpenConnections,
 }
 
 impl OpenConnections {
     /// Adds a connection of a client.
     #[must_use]
     pub fn add(&self, client: IpAddr) -> OpenConnection {
-        let (site, state) = (client_site(client), Arc::<ConnectionState>::default());
+        let (site, displaced) = (client_site(client), Arc::<Notify>::default());
         let mut table = self.table();
         let number = table.next;
         table.next += 1;
-        table.connections.insert(number, (site, Arc::clone(&state)));
-        *table.sites.entry(site).or_default() += 1;
-        OpenConnection { number, state, connections: self.clone() }
+        table.connections.insert(number, (site, Arc::clone(&displaced)));
+        table.sites.insert(site, number);
+        drop(table);
+        let entry = TableEntry { site, number, connections: self.clone() };
+        OpenConnection { state: Arc::new(ConnectionState { displaced, entry: Some(entry) }) }
     }
 
-    /// Chooses a connection to end for one of a client that has not been added: of the site with
-    /// the most, first without a request, then the oldest. Only of a site that has more than the
-    /// client's, and only where that site has two more, one with a request. False if there is none.
+    /// Chooses a connection to end for one of a client that has not been added
+    /// ([`SiteIndex::displaced_by`]): only of a site that has more than the client's, and with a
+    /// request only where that site has two more. False if there is none.
     #[must_use]
     pub fn displace_for(&self, client: IpAddr) -> bool {
         let mut table = self.table();
-        let own = table.sites.get(&client_site(client)).copied().unwrap_or_default();
-        let rank = |(number, (site, state)): (&u64, &(IpAddr, Arc<ConnectionState>))| {
-            let of_site = table.sites.get(site).copied().unwrap_or_default();
-            let is_idle = !state.is_busy.load(Ordering::Relaxed);
-            let is_allowed = of_site > own && (is_idle || of_site > own + 1);
-            is_allowed.then_some((of_site, is_idle, std::cmp::Reverse(*number)))
-        };
-        let Some((.., std::cmp::Reverse(number))) = table.connections.iter().filter_map(rank).max() else {
-            return false;
-        };
-        let Some(state) = table.remove(number) else { return false };
-        state.displaced.notify_one();
+        let number = table.sites.displaced_by(client_site(client));
+        let Some(displaced) = number.and_then(|number| table.remove(number)) else { return false };
+        displaced.notify_one();
         true
     }
 
@@ -111,15 +109,10 @@ impl OpenConnections {
 }
 
 impl Table {
-    fn remove(&mut self, number: u64) -> Option<Arc<ConnectionState>> {
-        let (site, state) = self.connections.remove(&number)?;
-        if let Some(count) = self.sites.get_mut(&site) {
-            *count -= 1;
-            if *count == 0 {
-                self.sites.remove(&site);
-            }
-        }
-        Some(state)
+    fn remove(&mut self, number: u64) -> Option<Arc<Notify>> {
+        let (site, displaced) = self.connections.remove(&number)?;
+        self.sites.remove(site, number);
+        Some(displaced)
     }
 }
 
@@ -134,7 +127,9 @@ impl OpenConnection {
 impl ConnectionState {
     /// Notes whether a request is being answered.
     pub fn set_busy(&self, is_busy: bool) {
-        self.is_busy.store(is_busy, Ordering::Relaxed);
+        if let Some(TableEntry { site, number, connections }) = &self.entry {
+            connections.table().sites.set_busy(*site, *number, is_busy);
+        }
     }
 
     /// Waits until the connection has to end for another one.
@@ -145,7 +140,9 @@ impl ConnectionState {
 
 impl Drop for OpenConnection {
     fn drop(&mut self) {
-        self.connections.table().remove(self.number);
+        if let Some(TableEntry { number, connections, .. }) = &self.state.entry {
+            connections.table().remove(*number);
+        }
     }
 }
 
@@ -179,7 +176,7 @@ mod tests {
         drop(few);
         assert!(!open.displace_for(client(3)), "there is none");
         let table = open.table();
-        assert!(table.connections.is_empty() && table.sites.is_empty());
+        assert!(table.connections.is_empty() && table.sites.newest_of_largest().is_none());
     }
 
     #[test]

@@ -50,6 +50,7 @@ pub mod proxy;
 pub mod reload;
 pub mod scheduling;
 pub mod session;
+pub mod site_index;
 pub mod source;
 pub mod state;
 pub mod stats;

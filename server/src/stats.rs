@@ -8,6 +8,7 @@ use crate::generation::Generation;
 use crate::latency::{self, BucketCounts, LatencyHistogram};
 use crate::limits::networks::client_site;
 use crate::metrics::Metrics;
+use crate::site_index::SiteIndex;
 use bytes::Bytes;
 use protocol::view::View;
 use serde::Serialize;
@@ -79,10 +80,6 @@ impl SessionStats {
         self.ends.notify_one();
     }
 
-    fn is_ending(&self) -> bool {
-        self.ending.load(Ordering::Relaxed) != 0
-    }
-
     /// Publishes a new view.
     pub fn set_view(&self, view: &View) {
         let [x, _, z] = view.eye;
@@ -117,7 +114,7 @@ impl SessionStatsGuard {
     /// The site of its client.
     #[must_use]
     pub fn site(&self) -> Option<IpAddr> {
-        lock(&self.live.shared.sessions).get(&self.number).and_then(|registered| registered.site)
+        lock(&self.live.shared.sessions).by_number.get(&self.number).and_then(|registered| registered.site)
     }
 }
 
@@ -131,7 +128,10 @@ impl std::ops::Deref for SessionStatsGuard {
 
 impl Drop for SessionStatsGuard {
     fn drop(&mut self) {
-        lock(&self.live.shared.sessions).remove(&self.number);
+        let mut sessions = lock(&self.live.shared.sessions);
+        if let Some(session) = sessions.by_number.remove(&self.number) {
+            sessions.sites.remove(session.site, self.number);
+        }
     }
 }
 
@@ -145,12 +145,19 @@ pub struct LiveStats {
 struct Shared {
     started: Instant,
     /// A std mutex: held for map operations and for reading at most [`MAX_LISTED`] entries.
-    sessions: Mutex<BTreeMap<u64, Registered>>,
+    sessions: Mutex<Sessions>,
     last: Mutex<Option<Snapshot>>,
     /// When a session was displaced for the last time.
     displaced: Mutex<Option<Instant>>,
     /// Sites for which a session was displaced, and when; until they begin one.
     waiting: Mutex<HashMap<Option<IpAddr>, Instant>>,
+}
+
+#[derive(Debug, Default)]
+struct Sessions {
+    by_number: BTreeMap<u64, Registered>,
+    /// Those that were not chosen to end. None is busy.
+    sites: SiteIndex<Option<IpAddr>>,
 }
 
 /// A registered session.
@@ -258,14 +265,17 @@ impl LiveStats {
         let stats = Arc::new(SessionStats::default());
         let registered = Registered { stats: Arc::clone(&stats), site: client.map(client_site) };
         lock(&self.shared.waiting).remove(&registered.site);
-        lock(&self.shared.sessions).insert(number, registered);
+        let mut sessions = lock(&self.shared.sessions);
+        sessions.sites.insert(registered.site, number);
+        sessions.by_number.insert(number, registered);
+        drop(sessions);
         SessionStatsGuard { stats, number, live: self.clone() }
     }
 
     /// Number of open sessions.
     #[must_use]
     pub fn count(&self) -> usize {
-        lock(&self.shared.sessions).len()
+        lock(&self.shared.sessions).by_number.len()
     }
 
     /// Ends up to this many sessions ([`SessionStats::ends`]), first of the sites that have the
@@ -274,7 +284,8 @@ impl LiveStats {
         if count == 0 {
             return 0;
         }
-        let sessions = lock(&self.shared.sessions);
+        let mut sessions = lock(&self.shared.sessions);
+        let Sessions { by_number, sites } = &mut *sessions;
         // The session of a site with this many older ones.
         let mut older: HashMap<Option<IpAddr>, usize> = HashMap::new();
         let rank = |site| {
@@ -282,12 +293,15 @@ impl LiveStats {
             *older += 1;
             *older - 1
         };
-        let ranks = sessions.values().map(|session| session.site).map(rank);
+        let ranks = by_number.values().map(|session| session.site).map(rank);
         let mut ended: Vec<_> =
-            ranks.zip(&*sessions).map(|(rank, (number, of))| (rank, *number, of)).collect();
+            ranks.zip(&*by_number).map(|(rank, (number, of))| (rank, *number, of)).collect();
         ended.sort_unstable_by_key(|(rank, number, _)| Reverse((*rank, *number)));
         ended.truncate(count);
-        ended.iter().for_each(|(_, _, session)| session.stats.end(Ending::Memory));
+        for (_, number, session) in &ended {
+            session.stats.end(Ending::Memory);
+            sites.remove(session.site, *number);
+        }
         ended.len()
     }
 
@@ -301,20 +315,24 @@ impl LiveStats {
         }
         let own = client.map(client_site);
         let mut waiting = lock(&self.shared.waiting);
-        waiting.retain(|_, since| now.saturating_duration_since(*since) < DISPLACEMENT_WAIT);
-        if waiting.len() >= MAX_WAITING_SITES || waiting.contains_key(&own) {
+        let is_waiting = |since: &Instant| now.saturating_duration_since(*since) < DISPLACEMENT_WAIT;
+        if waiting.get(&own).is_some_and(is_waiting) {
             return false;
         }
-        let sessions = lock(&self.shared.sessions);
-        let mut sites: HashMap<Option<IpAddr>, (usize, &Arc<SessionStats>)> = HashMap::new();
-        for session in sessions.values().filter(|session| !session.stats.is_ending()) {
-            let (count, newest) = sites.entry(session.site).or_insert((0, &session.stats));
-            (*count, *newest) = (*count + 1, &session.stats);
+        let mut sessions = lock(&self.shared.sessions);
+        let Sessions { by_number, sites } = &mut *sessions;
+        let held = sites.count(own);
+        let largest = sites.newest_of_largest().filter(|(_, count)| *count >= held + 2);
+        let Some((number, _)) = largest else { return false };
+        let Some(newest) = by_number.get(&number) else { return false };
+        if waiting.len() >= MAX_WAITING_SITES {
+            waiting.retain(|_, since| is_waiting(since));
+            if waiting.len() >= MAX_WAITING_SITES {
+                return false;
+            }
         }
-        let held = sites.get(&own).map_or(0, |(count, _)| *count);
-        let most = sites.into_values().max_by_key(|(count, _)| *count);
-        let Some((_, newest)) = most.filter(|(count, _)| *count >= held + 2) else { return false };
-        newest.end(Ending::Displaced);
+        newest.stats.end(Ending::Displaced);
+        sites.remove(newest.site, number);
         *displaced = Some(now);
         waiting.insert(own, now);
         true
@@ -353,7 +371,9 @@ impl LiveStats {
         let span_s = before.map(|before| now.saturating_duration_since(before.at).as_secs_f64());
         let rate = |now: u64, before: u64| span_s.map(|span_s| now.saturating_sub(before) as f64 / span_s);
         let (mut listed, mut sessions) = (Vec::new(), BTreeMap::new());
-        for (number, Registered { stats, .. }) in lock(&self.shared.sessions).iter().take(MAX_LISTED) {
+        for (number, Registered { stats, .. }) in
+            lock(&self.shared.sessions).by_number.iter().take(MAX_LISTED)
+        {
             let (chunks, bytes) = (stats.chunks.load(Ordering::Relaxed), stats.bytes.load(Ordering::Relaxed));
             // A session opened since the last snapshot had sent nothing then.
             let (chunks_before, bytes_before) =

@@ -14,6 +14,7 @@ use crate::metrics::Metrics;
 use crate::source::ChunkSource;
 use crate::store::Store;
 use bytes::Bytes;
+use futures_util::future::{OptionFuture, join};
 use protocol::Delivery;
 use rayon::ThreadPoolBuildError;
 use std::net::IpAddr;
@@ -152,12 +153,9 @@ impl Generation {
     /// Waits a bounded time for the pending writes and releases the folder of the disk cache. For
     /// shutdown.
     pub async fn close(&self) {
-        if let Some(disk) = &self.shared.disk {
-            disk.close().await;
-        }
-        if let Some(store) = &self.shared.store {
-            store.close().await;
-        }
+        let disk = OptionFuture::from(self.shared.disk.as_ref().map(Disk::close));
+        let store = OptionFuture::from(self.shared.store.as_ref().map(Store::close));
+        join(disk, store).await;
     }
 
     /// Whether it is known which chunks the store has baked, as far as that is waited for.

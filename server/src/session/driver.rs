@@ -96,10 +96,9 @@ where
         let mut driver = Driver {
             socket,
             state,
-            number,
             session: ServerSession::new(offer, number),
             flow: state.generation.session(stats.site(), bucket),
-            message_deadline: MessageDeadline::new(state.config.message_timeout),
+            message_deadline: MessageDeadline::default(),
             delay: None,
             backoff: RefusalBackoff::new(Instant::now()),
             pause_count: PauseCount::new(&state.paused_sessions),
@@ -170,7 +169,6 @@ enum Delay {
 struct Driver<'a, S> {
     socket: WebSocket<S>,
     state: &'a ServerState,
-    number: u64,
     session: ServerSession,
     /// Chunks in generation, at most [`JOB_WINDOW`]; nothing more is requested while it is full.
     flow: Flow,
@@ -384,7 +382,8 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
             has_ended |= is_data || !self.socket.is_fragmented();
             let_others_run(self.state.config.without).await;
         }
-        self.message_deadline.record(has_ended, self.socket.is_in_message(), Instant::now());
+        let by = Instant::now() + self.state.config.message_timeout;
+        self.message_deadline.record(has_ended, self.socket.is_in_message(), by);
         self.cancel_stale();
         // With a full window, waiting requests wait for the service, not for credit.
         if self.fill_window() {
@@ -532,7 +531,7 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
     /// Announces the shutdown with a reconnect delay.
     async fn drain(&mut self) -> SessionEnd {
         let (min_ms, max_ms) = RECONNECT_MS;
-        let jitter_ms = terrain::hash::mix(self.number as u32) % (max_ms - min_ms);
+        let jitter_ms = terrain::hash::mix(self.stats.number() as u32) % (max_ms - min_ms);
         self.session.drain(min_ms + jitter_ms);
         self.is_draining = true;
         self.ended(SessionEnd::with_code(EndReason::Drained, CloseCode::GoingAway)).await
