@@ -1,7 +1,7 @@
 //! `audit`: what can be counted of the honesty of figures and checks.
 //!
-//! Figures of other measurements come from the records of their newest date, the worst of its
-//! machines; a record without a row misses it.
+//! Figures of other measurements come from the newest record of each machine that is not out of
+//! date, the worst of the machines; a record without a row misses it.
 
 use super::run::Run;
 use crate::ci::rehearsal;
@@ -47,7 +47,7 @@ pub fn rows(run: &mut Run) -> Result<Vec<Bar>> {
         ),
         at_most("near-miss controls that pass a golden", near_misses.passed(), "", 0.0),
     ];
-    rows.extend(recorded(&newest("streaming")?, &newest("culling")?));
+    rows.extend(recorded(&records::of("streaming")?, &records::of("culling")?));
     run.notes.push(format!(
         "findings of severity 2+ without a fix or an answer: of {} in {FINDINGS}, whose files and texts are \
          looked up.",
@@ -113,18 +113,6 @@ impl NearMisses {
         let is_known = !self.passed.is_empty() || NEAR_MISSES.iter().all(is_compared) && !self.has_failed;
         is_known.then_some(self.passed.len() as f64)
     }
-}
-
-/// The newest records of a measurement: those of all machines of the newest date.
-fn newest(name: &str) -> Result<Vec<Record>> {
-    Ok(of_the_newest_date(records::of(name)?))
-}
-
-/// The records of the newest date.
-fn of_the_newest_date(mut records: Vec<Record>) -> Vec<Record> {
-    let newest = records.iter().map(|record| record.date().to_owned()).max().unwrap_or_default();
-    records.retain(|record| record.date() == newest);
-    records
 }
 
 /// Rows that other measurements have recorded, judged here by the worst of the machines. A machine
@@ -313,15 +301,6 @@ mod tests {
         for none in [&[][..], &[Record::default()]] {
             assert_eq!(recorded(none, none).iter().filter(|bar| bar.is_missed()).count(), 4);
         }
-    }
-
-    #[test]
-    fn the_newest_records_are_those_of_one_date_whatever_the_machine() {
-        let at = |folder: &str| Record::parse(&format!("docs/measurements/{folder}/x.md"), "");
-        let (b, z) = (at("2026-11-25-b-cpu"), at("2026-11-25-z-cpu"));
-        let records = vec![at("2026-11-24-zz-cpu"), z.clone(), b.clone()];
-        assert_eq!(of_the_newest_date(records), [z, b]);
-        assert_eq!(of_the_newest_date(Vec::new()), []);
     }
 
     #[test]

@@ -12,7 +12,7 @@ mod mutants;
 pub mod record;
 mod resilience;
 mod run;
-mod runs;
+pub mod runs;
 mod streaming;
 mod websocket;
 

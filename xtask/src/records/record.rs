@@ -5,8 +5,8 @@ use std::collections::BTreeMap;
 /// The folder of all records.
 pub const FOLDER: &str = "docs/measurements/";
 
-/// Length of a date.
-const DATE: usize = "2026-01-02".len();
+/// Length of the date in the name of a record's folder, and of the hyphen behind it.
+const DATE: usize = "2026-01-02-".len();
 
 /// A record of one measurement on one machine.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -71,9 +71,10 @@ impl Record {
         record
     }
 
-    /// The date, with which the name of its folder begins; empty for a path of no record.
-    pub fn date(&self) -> &str {
-        self.path.strip_prefix(FOLDER).and_then(|rest| rest.get(..DATE)).unwrap_or_default()
+    /// The machine in the name of its folder; empty for a path of no record.
+    pub fn machine(&self) -> &str {
+        let folder = self.path.strip_prefix(FOLDER).and_then(|rest| rest.split('/').next());
+        folder.and_then(|folder| folder.get(DATE..)).unwrap_or_default()
     }
 
     /// A fact; empty if the record does not state it.
