@@ -54,6 +54,9 @@ pub struct Options {
     pub rounds: u32,
 }
 
+/// First of the poses that no test was tuned on.
+const HELD_OUT: u32 = 1_000_000;
+
 /// Fewer and nearer plants than the standard: the comparison must also finish on a software driver.
 const COMPARED: VegetationSettings =
     VegetationSettings { density: 4, range_m: 160.0, tree_range_m: 800.0, ..VegetationSettings::STANDARD };
@@ -69,6 +72,8 @@ struct Report {
     poses: u32,
     #[serde(rename = "sight")]
     occlusion: Findings,
+    /// The same at as many other poses, which no test was tuned on.
+    held_out: Findings,
     /// Plants visible in ID buffers, if any were requested.
     #[serde(rename = "shown")]
     visible: Option<VisiblePlants>,
@@ -94,6 +99,9 @@ pub fn run(options: &Options, outputs: &Outputs) -> Result<()> {
     note("visibility over the drawn triangles");
     let poses = cases::seeded(&land, options.poses, VegetationSettings::STANDARD);
     let occlusion = occlusion::score(&land, &poses);
+    note("the same at poses that no test was tuned on");
+    let others = cases::seeded_from(&land, HELD_OUT, options.poses, VegetationSettings::STANDARD);
+    let held_out = occlusion::score(&land, &others);
     note(&format!("{} poses, drawn without culling", options.drawn));
     let drawn = cases::seeded(&land, options.drawn, DRAWN);
     let visible = (options.drawn > 0).then(|| id_buffer::measure(&land, &drawn)).transpose()?;
@@ -112,6 +120,7 @@ pub fn run(options: &Options, outputs: &Outputs) -> Result<()> {
     let report = Report {
         poses: options.poses,
         occlusion,
+        held_out,
         visible,
         rounds: options.rounds,
         frames,

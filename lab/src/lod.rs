@@ -122,7 +122,7 @@ pub fn run(options: &Options, outputs: &Outputs) -> Result<()> {
 }
 
 impl Report {
-    /// Fails if a control passes.
+    /// Fails if a control passes. The one of morphs has a row of its own.
     fn controls(&self) -> Result<()> {
         ensure!(self.screen.max_when_loose > 1.0, "chunks chosen for {LOOSE} tolerances keep one");
         let Cracks { whole, chunk_left_out, no_seams } = &self.cracks;
@@ -131,12 +131,6 @@ impl Report {
         ensure!(no_seams.magenta > 0, "borders that do not meet were not seen");
         let changes: u32 = self.popping.iter().map(|flight| flight.level_changes).sum();
         ensure!(changes > 0, "no level changed in any flight: let them take more frames");
-        let worst =
-            |change: fn(&popping::Outcome) -> f64| self.popping.iter().map(change).fold(0.0, f64::max);
-        ensure!(
-            worst(|flight| flight.unmorphed.block) > bars::UNMORPHED * worst(|flight| flight.morphed.block),
-            "levels that change without a morph were not seen"
-        );
         Ok(())
     }
 }

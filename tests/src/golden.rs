@@ -77,6 +77,13 @@ impl Difference {
     pub fn is_within(&self, tolerance: Self) -> bool {
         self.mean <= tolerance.mean && self.outliers <= tolerance.outliers && self.block <= tolerance.block
     }
+
+    /// The figure that exceeds that of a tolerance by most, in times of it.
+    #[must_use]
+    pub fn over(&self, tolerance: Self) -> f64 {
+        let mean = self.mean / tolerance.mean;
+        mean.max(self.outliers / tolerance.outliers).max(self.block / tolerance.block)
+    }
 }
 
 /// Name and version of the driver that draws here; none without a GPU.
@@ -132,7 +139,7 @@ pub fn check_within(name: &str, picture: &Image, tolerance: Difference) -> Resul
 }
 
 /// Requires a near miss to differ by more than a tolerance. `TOMBOLO_NEAR_MISSES` names a file to
-/// which the outcome is appended as a line: `rejected` or `passed`, and the near miss.
+/// which the outcome is appended as a line: `rejected` or `passed`, the near miss and its distance.
 ///
 /// # Panics
 /// The difference is tolerated, or the file cannot be written.
@@ -143,7 +150,9 @@ pub fn require_rejected(near_miss: &str, difference: Difference, tolerance: Diff
         let outcome = if is_rejected { "rejected" } else { "passed" };
         let file = std::fs::File::options().append(true).create(true).open(path);
         // One write, as other tests append at the same time.
-        let written = file.and_then(|mut file| file.write_all(format!("{outcome} {near_miss}\n").as_bytes()));
+        let distance = format!("{:.2} times the tolerance", difference.over(tolerance));
+        let line = format!("{outcome} {near_miss} ({distance})\n");
+        let written = file.and_then(|mut file| file.write_all(line.as_bytes()));
         written.expect("the file of TOMBOLO_NEAR_MISSES can be written");
     }
     assert!(is_rejected, "{near_miss} passed: {difference:?}");

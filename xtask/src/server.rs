@@ -47,7 +47,23 @@ impl Server {
     /// # Errors
     /// As [`Server::start`].
     pub fn start_program(program: &Path, world_seed: u64, settings: &[(&str, String)]) -> Result<Self> {
-        let address = free_address()?;
+        Self::started(program, free_address()?, world_seed, settings)
+    }
+
+    /// As [`Server::start_with`], at an address.
+    ///
+    /// # Errors
+    /// As [`Server::start`].
+    pub fn start_at(address: SocketAddr, world_seed: u64, settings: &[(&str, String)]) -> Result<Self> {
+        Self::started(&process::program("tombolo-server"), address, world_seed, settings)
+    }
+
+    fn started(
+        program: &Path,
+        address: SocketAddr,
+        world_seed: u64,
+        settings: &[(&str, String)],
+    ) -> Result<Self> {
         let child = process::command(program)
             // A load has one address for all of its clients.
             .env("TOMBOLO_MAX_SESSIONS_PER_ADDRESS", "1024")

@@ -166,7 +166,12 @@ const REGIONS_M: [(f64, f64); 2] = [(0.0, 0.0), (1e6, 1e6)];
 /// is on a border of chunks and one on a border of levels; half of the pitches are those of a walk,
 /// half from straight down to 60 degrees up; of three views one lacks 5 to 60 % of its chunks.
 pub fn seeded(land: &Land, count: u32, plants: VegetationSettings) -> Vec<Case> {
-    (0..count).map(|index| case(land, index, plants)).collect()
+    seeded_from(land, 0, count, plants)
+}
+
+/// As [`seeded`], from a number of a pose on.
+pub fn seeded_from(land: &Land, first: u32, count: u32, plants: VegetationSettings) -> Vec<Case> {
+    (first..first + count).map(|index| case(land, index, plants)).collect()
 }
 
 fn case(land: &Land, index: u32, plants: VegetationSettings) -> Case {

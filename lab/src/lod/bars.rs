@@ -12,7 +12,7 @@ const VIEWS: f64 = 200.0;
 const KIB: f64 = 1024.0;
 
 /// Least change of levels without a morph, in times of those with one.
-pub const UNMORPHED: f64 = 1.5;
+const UNMORPHED: f64 = 1.5;
 
 /// Every figure beside its bar.
 pub fn rows(lod: &Value) -> Vec<Bar> {

@@ -94,10 +94,19 @@ fn ticks(stat: &str, field: usize) -> Option<f64> {
 
 /// Greatest memory of a server so far, KiB.
 fn memory_kib(server: &Server) -> Result<f64> {
+    status_kib(server, "VmHWM:")
+}
+
+/// Resident memory of a server now, KiB.
+pub fn resident_kib(server: &Server) -> Result<f64> {
+    status_kib(server, "VmRSS:")
+}
+
+fn status_kib(server: &Server, field: &str) -> Result<f64> {
     let status = read_to_string(format!("/proc/{}/status", server.pid())).context("no /proc")?;
-    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"));
+    let line = status.lines().find_map(|line| line.strip_prefix(field));
     line.and_then(|line| line.split_whitespace().next()?.parse().ok())
-        .context("/proc/PID/status has no VmHWM")
+        .with_context(|| format!("/proc/PID/status has no {field}"))
 }
 
 #[cfg(test)]

@@ -126,19 +126,19 @@ fn terminated() -> Result<Vec<Bar>> {
 }
 
 /// Chunks that differ from those of local generation, and frames that a client rejected.
-fn wrong(name: &str, report: &Value) -> Bar {
+pub fn wrong(name: &str, report: &Value) -> Bar {
     let compared = at(report, "regenerated").filter(|compared| *compared > 0.0);
     let note = format!("{} chunks, one of 32, were generated again and compared", compared.unwrap_or(0.0));
     Bar::none(name, compared.and(at(report, "mismatches"))).with_note(note)
 }
 
 /// Sessions of the whole run that were lost and not replaced.
-fn without_another(report: &Value) -> Option<f64> {
+pub fn without_another(report: &Value) -> Option<f64> {
     Some(at(report, "resume/lost")? - at(report, "resume/resumed")?)
 }
 
 /// A quantile of the gaps, seconds.
-fn gap(report: &Value, quantile: &str) -> Option<f64> {
+pub fn gap(report: &Value, quantile: &str) -> Option<f64> {
     at(report, &format!("resume/gap_ms/{quantile}")).map(|ms| ms / 1000.0)
 }
 

@@ -16,6 +16,7 @@ mod objects;
 pub mod prometheus;
 mod relay;
 mod simulation;
+mod soak;
 mod store;
 
 use crate::process;
@@ -25,6 +26,7 @@ use bars::{Bar, Summary};
 use nginx::Nginx;
 use objects::Objects;
 use prometheus::Prometheus;
+use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::thread::sleep;
 use std::time::Duration;
@@ -54,6 +56,10 @@ pub struct Options {
     /// With --check: only these
     #[arg(long, value_delimiter = ',', value_enum, requires = "check")]
     pub only: Vec<Check>,
+    /// With --only soak: its length in minutes, 2 to 10000
+    #[arg(long, value_name = "MIN", default_value_t = soak::LENGTH.as_secs() / 60,
+          value_parser = clap::value_parser!(u64).range(2..=10_000))]
+    pub soak_minutes: u64,
 }
 
 /// The check.
@@ -75,9 +81,12 @@ pub enum Check {
     Capacity,
     /// The simulation beside 1,000 real clients.
     Simulation,
+    /// Hours of clients that fly, with a fault every minute; only if it is named.
+    Soak,
 }
 
 impl Check {
+    /// Those that run without `--only`.
     const ALL: [Self; 8] = [
         Self::Contents,
         Self::Caching,
@@ -89,7 +98,7 @@ impl Check {
         Self::Simulation,
     ];
 
-    fn rows(self) -> Result<Vec<Bar>> {
+    fn rows(self, soak: Duration) -> Result<Vec<Bar>> {
         match self {
             Self::Contents => contents::rows(),
             Self::Caching => caching::rows(),
@@ -99,6 +108,7 @@ impl Check {
             Self::Alerts => prometheus::rows(),
             Self::Capacity => capacity::rows(),
             Self::Simulation => simulation::rows(),
+            Self::Soak => soak::rows(soak),
         }
     }
 }
@@ -126,7 +136,8 @@ pub fn run(options: Options) -> Result<()> {
     process::run(process::build(&programs)).context("cluster: the build failed")?;
     if options.check {
         let checks = if options.only.is_empty() { Check::ALL.to_vec() } else { options.only };
-        let rows = rows_of(&checks).context("cluster")?;
+        let soak = Duration::from_secs(60 * options.soak_minutes);
+        let rows = rows_of(&checks, soak).context("cluster")?;
         println!("{}", bars::text(&rows));
         let missed = rows.iter().filter(|row| row.is_missed()).count();
         if Summary::of(&rows).missed > 0 {
@@ -179,16 +190,24 @@ fn watched(cluster: &Cluster) -> Result<Option<Prometheus>> {
 /// # Errors
 /// An interrupt.
 pub fn rows() -> Result<Vec<Bar>> {
-    rows_of(&Check::ALL)
+    rows_of(&Check::ALL, soak::LENGTH)
 }
 
-fn rows_of(checks: &[Check]) -> Result<Vec<Bar>> {
+/// The rows of [`Check::Soak`], of its whole length.
+///
+/// # Errors
+/// An interrupt.
+pub fn soak_rows() -> Result<Vec<Bar>> {
+    rows_of(&[Check::Soak], soak::LENGTH)
+}
+
+fn rows_of(checks: &[Check], soak: Duration) -> Result<Vec<Bar>> {
     let mut rows = Vec::new();
     for check in checks {
         if process::interrupted() {
             bail!("interrupted");
         }
-        match check.rows() {
+        match check.rows(soak) {
             Ok(more) => rows.extend(more),
             Err(error) if process::interrupted() => return Err(error.context(format!("{check:?}"))),
             // The rows of the other checks are worth their minutes.
@@ -211,6 +230,16 @@ fn folder(name: &str) -> Result<PathBuf> {
     Ok(folder)
 }
 
+/// A replica at an address that another one had.
+fn replica_at(address: SocketAddr, settings: &[(&str, String)]) -> Result<Server> {
+    Server::start_at(address, WORLD_SEED, &of_replica(settings))
+}
+
+/// The settings of every replica, and further ones.
+fn of_replica<'a>(settings: &[(&'a str, String)]) -> Vec<(&'a str, String)> {
+    [&[(SETTING.0, SETTING.1.to_owned())], settings].concat()
+}
+
 impl Cluster {
     fn start(replicas: u8) -> Result<Self> {
         Self::start_with(replicas, &[])
@@ -218,8 +247,7 @@ impl Cluster {
 
     /// With settings in the environment of the replicas.
     fn start_with(replicas: u8, settings: &[(&str, String)]) -> Result<Self> {
-        let of_all = [(SETTING.0, SETTING.1.to_owned())];
-        let settings = [&of_all, settings].concat();
+        let settings = of_replica(settings);
         let replicas: Vec<Server> =
             (0..replicas).map(|_| Server::start_with(WORLD_SEED, &settings)).collect::<Result<_>>()?;
         let addresses: Vec<_> = replicas.iter().map(Server::address).collect();

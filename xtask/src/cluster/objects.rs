@@ -85,6 +85,14 @@ impl Objects {
         self.run("kill", &["-STOP", &self.child.id().to_string()])
     }
 
+    /// Ends [`Objects::hang`].
+    ///
+    /// # Errors
+    /// The system has no `kill`.
+    pub fn go_on(&self) -> Result<()> {
+        self.run("kill", &["-CONT", &self.child.id().to_string()])
+    }
+
     /// From now on every answer comes so much later.
     pub fn slow_down(&self, by: Duration) {
         self.relay.delay(by);

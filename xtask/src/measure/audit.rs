@@ -3,6 +3,7 @@
 //! Figures of other measurements come from the newest record of each machine that is not out of
 //! date, the worst of the machines; a record without a row misses it.
 
+use super::record_runs;
 use super::run::Run;
 use crate::ci::rehearsal;
 use crate::process;
@@ -31,6 +32,12 @@ pub fn rows(run: &mut Run) -> Result<Vec<Bar>> {
         at_most(
             "records quoted in the README: stale, dirty, or of a single run",
             Some(records::unfit_quotes()? as f64),
+            "",
+            0.0,
+        ),
+        at_most(
+            "rows of records that differ from their runs in runs.csv",
+            Some(record_runs::faults()?.len() as f64),
             "",
             0.0,
         ),

@@ -5,6 +5,19 @@ use super::run::Run;
 use anyhow::Result;
 use bars::Bar;
 
+/// Hours of clients that fly, with a fault every minute.
+///
+/// # Errors
+/// As [`rows`].
+pub fn soak(run: &mut Run) -> Result<Vec<Bar>> {
+    run.notes.push(
+        "Three replicas, nginx, an S3 store and 100 clients on the same cores, over the loopback; every \
+         chunk is checked by its digest, one of 32 is generated again and compared."
+            .into(),
+    );
+    crate::cluster::soak_rows()
+}
+
 /// Measures clusters.
 ///
 /// # Errors

@@ -10,9 +10,10 @@ pub mod heightfield;
 mod land;
 mod mutants;
 pub mod record;
+mod record_runs;
 mod resilience;
 mod run;
-pub mod runs;
+mod runs;
 mod streaming;
 mod websocket;
 
@@ -46,7 +47,7 @@ macro_rules! by_lab {
     };
 }
 
-const MEASUREMENTS: [Measurement; 15] = [
+const MEASUREMENTS: [Measurement; 16] = [
     Measurement { name: "audit", programs: &[], rows: audit::rows },
     Measurement { name: "code", programs: &[], rows: code::rows },
     Measurement {
@@ -74,6 +75,7 @@ const MEASUREMENTS: [Measurement; 15] = [
         programs: &["tombolo-server", "tombolo-load", "tombolo-simulate"],
         rows: cluster::rows,
     },
+    Measurement { name: "soak", programs: &["tombolo-server", "tombolo-load"], rows: cluster::soak },
     by_lab!("terrain", ["lod", "--poses", "50", "--views", "200"]),
     by_lab!("pom", ["pom", "--rays", "2000000"]),
     by_lab!("culling", ["culling", "--poses", "300"]),

@@ -6,7 +6,8 @@
 
 use super::run::Run;
 use super::streaming::{cores, separate_cores, server_bench};
-use crate::process;
+use crate::records::record::Record;
+use crate::{machine, process};
 use anyhow::Result;
 use bars::Bar;
 use std::process::Command;
@@ -45,7 +46,18 @@ pub fn rows(run: &mut Run) -> Result<Vec<Bar>> {
     }
     let report = run.report_of("messages", messages(run))?;
     rows.extend(run.rows_of("messages", &report));
+    let streaming = crate::records::of("streaming")?;
+    rows.push(Bar::none(STREAMING, missed_of(&streaming, &machine::Machine::here().slug())));
     Ok(rows)
+}
+
+/// Name of the row about the record of `streaming`.
+const STREAMING: &str = "bars of `measure streaming` missed, record of this machine and code";
+
+/// Missed bars of the record of a machine; none without one.
+fn missed_of(records: &[Record], machine: &str) -> Option<f64> {
+    let own = records.iter().find(|record| record.machine() == machine)?;
+    Some(own.rows.iter().filter(|row| row.verdict == "MISSED").count() as f64)
 }
 
 /// The test of valid messages. It links the server, and so is no part of `tombolo-server-bench`.
@@ -55,4 +67,20 @@ fn messages(run: &Run) -> Command {
     command.env("TOMBOLO_STREAM_MESSAGES", MESSAGES);
     command.env("TOMBOLO_STREAM_REPORT", run.file("messages.json"));
     command
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn missed_bars_are_those_of_the_own_record() {
+        let record = |machine: &str, verdict: &str| {
+            let page = format!("| a | 1 | at most 2 | {verdict} |\n| b | 1 | at most 2 | ok |\n");
+            Record::parse(&format!("docs/measurements/2026-01-02-{machine}/streaming.md"), &page)
+        };
+        let records = [record("x", "ok"), record("y", "MISSED")];
+        let missed = ["x", "y", "z"].map(|machine| missed_of(&records, machine));
+        assert_eq!(missed, [Some(0.0), Some(1.0), None]);
+    }
 }

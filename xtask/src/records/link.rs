@@ -26,6 +26,13 @@ pub fn first(line: &str) -> Option<Link<'_>> {
     Some(Link { path, title, end: line.len() - rest.len() })
 }
 
+/// The record to which the definition of a link leads, `[name]: path`; none of another line.
+pub fn definition(line: &str) -> Option<&str> {
+    let (_, target) = line.trim_start().strip_prefix('[')?.split_once("]: ")?;
+    let path = target.split_whitespace().next()?;
+    path.starts_with(&format!("{FOLDER}2")).then_some(path)
+}
+
 /// Every link of a line to a record.
 pub fn all(line: &str) -> impl Iterator<Item = Link<'_>> {
     let mut rest = line;

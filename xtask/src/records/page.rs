@@ -9,7 +9,7 @@ use std::fmt::Write;
 pub const PATH: &str = "docs/measurements/README.md";
 
 /// Order of the sections; a measurement without notes has no section.
-const SECTIONS: [&str; 16] = [
+const SECTIONS: [&str; 17] = [
     "heightfield",
     "land",
     "end-to-end",
@@ -19,6 +19,7 @@ const SECTIONS: [&str; 16] = [
     "visual",
     "streaming",
     "cluster",
+    "soak",
     "resilience",
     "websocket",
     "fuzz",

@@ -9,10 +9,11 @@ use super::record::Record;
 /// Placeholder of a figure whose record must not be quoted.
 pub const WITHDRAWN: &str = "to be measured again";
 
-/// Records that links of a text lead to, except those of withdrawn figures.
+/// Records that links of a text lead to, in their own place or in a definition, except those of
+/// withdrawn figures.
 pub fn quoted(text: &str) -> Vec<&str> {
     let lines = text.lines().filter(|line| !is_withdrawn(line));
-    lines.flat_map(|line| link::all(line).map(|link| link.path)).collect()
+    lines.flat_map(|line| link::all(line).map(|link| link.path).chain(link::definition(line))).collect()
 }
 
 /// The README with figures of unfit records withdrawn, and withdrawn figures of fit ones as their
@@ -94,6 +95,7 @@ mod tests {
         // Prose has no cell that could be withdrawn.
         let prose = format!("[a]({PATH}) and [b]({PATH} \"row\"): to be measured again");
         assert_eq!(quoted(&prose), [PATH, PATH]);
+        assert_eq!(quoted(&format!("[0.2][a]\n\n[a]: {PATH} \"row\"\n[b]: docs/viewer.md")), [PATH]);
     }
 
     #[test]
