@@ -121,8 +121,7 @@ pub fn rows(length: Duration) -> Result<Vec<Bar>> {
         .with_note("resident, line of least squares from the 30th minute on; a shorter test has no figure"),
         Bar::reported("soak: its memory at the end", last_mib, "MiB"),
         Bar::reported("soak: length", Some(minutes), "min"),
-        Bar::at_least("soak: faults", Some(soak.faults as f64), "", minutes - 2.0)
-            .with_note(
+        Bar::at_least("soak: faults", Some(soak.faults as f64), "", minutes - 2.0).with_note(
             "one a minute: a replica killed, the store hangs, a replica terminated, the store 2 s late, \
              every object damaged",
         ),
