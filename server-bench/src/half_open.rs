@@ -32,7 +32,7 @@ const BYTE_INTERVAL: Duration = Duration::from_secs(1);
 const TIMEOUT: Duration = Duration::from_secs(30);
 
 /// Stay of the median socket of each kind in seconds: sockets that end before are not half open.
-const LEAST_STAY: f64 = 3.0;
+const LEAST_STAY_S: f64 = 3.0;
 
 /// Time between two new good clients, and the longest wait of one.
 const GOOD_INTERVAL: Duration = Duration::from_millis(250);
@@ -181,7 +181,7 @@ async fn stay(kind: Kind, source: usize, address: SocketAddr, key: ChunkKey) -> 
 pub fn bars(figures: &Value) -> Vec<Bar> {
     // Figures count only if the sockets were there.
     let were_opened = at(figures, "unopened").is_some_and(|unopened| unopened <= 0.01 * SOCKETS as f64);
-    let have_stayed = at(figures, "least_median_s") >= Some(LEAST_STAY);
+    let have_stayed = at(figures, "least_median_s") >= Some(LEAST_STAY_S);
     let of = |path| at(figures, path).filter(|_| were_opened && have_stayed);
     vec![
         Bar::at_most("5,000 half-open or dribbling sockets: longest stay of one", of("longest_s"), "s", 10.0)

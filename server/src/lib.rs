@@ -46,6 +46,7 @@ pub mod mechanism;
 pub mod memory;
 pub mod metrics;
 pub mod open_files;
+pub mod open_sessions;
 pub mod proxy;
 pub mod reload;
 pub mod scheduling;

@@ -99,7 +99,7 @@ pub async fn run(
     let _memory = AbortOnDropHandle::new(tokio::spawn(mark::watch(
         Arc::clone(&state.memory),
         Arc::clone(&state.metrics),
-        state.stats.clone(),
+        state.open_sessions.clone(),
     )));
     let router = http::router(Arc::clone(&state));
     let connections = TaskTracker::new();

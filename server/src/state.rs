@@ -11,6 +11,7 @@ use crate::limits::rate_limit::RateLimiter;
 use crate::map::Map;
 use crate::memory::MemoryMark;
 use crate::metrics::Metrics;
+use crate::open_sessions::OpenSessions;
 use crate::source::ProceduralSource;
 use crate::stats::LiveStats;
 use crate::store::Store;
@@ -42,6 +43,8 @@ pub struct ServerState {
     pub content_digests: ContentDigests,
     /// The map renderer and its cache.
     pub map: Map,
+    /// The open sessions.
+    pub open_sessions: OpenSessions,
     /// Figures for the page at `/`.
     pub stats: LiveStats,
     /// Metrics.
@@ -124,6 +127,7 @@ impl ServerState {
             ),
             memory: Arc::new(MemoryMark::new(config.memory.clone())),
             content_digests: ContentDigests::default(),
+            open_sessions: OpenSessions::default(),
             stats: LiveStats::default(),
             generation,
             metrics,

@@ -15,7 +15,7 @@ const READY_WITHIN: Duration = Duration::from_secs(20);
 /// Time for one answer of `/readyz`.
 const ANSWER_WITHIN: Duration = Duration::from_secs(2);
 
-/// Time for a graceful end; the server's own drain takes at most 10 s.
+/// Time for a graceful end; the server's own drain takes at most 5 s.
 const DRAIN_WITHIN: Duration = Duration::from_secs(12);
 
 /// See the module.

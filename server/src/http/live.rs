@@ -17,7 +17,7 @@ use std::time::Instant;
 pub async fn get(State(state): State<Arc<ServerState>>, client: Client) -> Result<Response, Problem> {
     // Positions of clients are as restricted as the sessions.
     client.authorise(&state)?;
-    let body = state.stats.report(Instant::now(), &state.metrics, &state.generation);
+    let body = state.stats.report(Instant::now(), &state.open_sessions, &state.metrics, &state.generation);
     let headers = [(header::CONTENT_TYPE, "application/json"), (header::CACHE_CONTROL, "no-store")];
     Ok((headers, body).into_response())
 }

@@ -62,7 +62,7 @@ pub async fn stream(State(state): State<Arc<ServerState>>, mut request: Request)
     let Ok(permit) = Arc::clone(&state.session_permits).try_acquire_owned() else {
         // There is a place when the client retries, if no other limit rejects it then.
         if !state.memory.is_exceeded() && state.sessions_per_ip.try_acquire(peer, 0).is_some() {
-            let _ = state.stats.displace_for(peer, Instant::now());
+            let _ = state.open_sessions.displace_for(peer, Instant::now());
         }
         return Problem::new(ProblemKind::NoSession, "no session is free, retry later").into_response();
     };
@@ -84,8 +84,8 @@ pub async fn stream(State(state): State<Arc<ServerState>>, mut request: Request)
     tracker.spawn(async move {
         if let Some(socket) = upgrade.socket(READ_LIMIT).await {
             let bucket = state.rate_limiter.bucket(peer);
-            let stats = state.stats.register(number, peer);
-            let ended = driver::serve(socket, &state, offer, stats, bucket, parent).await;
+            let open = state.open_sessions.register(number, peer);
+            let ended = driver::serve(socket, &state, offer, open, bucket, parent).await;
             if ended.reason.leaves_unread_bytes() {
                 system_buffers::discard(tcp_stream(&ended.stream));
             }

@@ -9,7 +9,7 @@
 use super::limit::{MemoryLimit, OpenFiles};
 use crate::limits::networks::client_site;
 use crate::metrics::Metrics;
-use crate::stats::LiveStats;
+use crate::open_sessions::OpenSessions;
 use std::collections::HashMap;
 use std::net::IpAddr;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -146,7 +146,7 @@ impl Pace {
 }
 
 /// Looks at the memory in use until it is dropped. Ends at once without a limit.
-pub async fn watch(mark: Arc<MemoryMark>, metrics: Arc<Metrics>, stats: LiveStats) {
+pub async fn watch(mark: Arc<MemoryMark>, metrics: Arc<Metrics>, sessions: OpenSessions) {
     let Some(limit) = &mark.limit else { return };
     metrics.memory_limit_bytes.set(i64::try_from(limit.bytes()).unwrap_or(i64::MAX));
     let mut ticks = tokio::time::interval(INTERVAL);
@@ -180,7 +180,7 @@ pub async fn watch(mark: Arc<MemoryMark>, metrics: Arc<Metrics>, stats: LiveStat
             room_at = now + ADMISSION;
         }
         if mark.is_exceeded() {
-            let count = stats.shed(pace.due(used, limit.bytes(), stats.count(), now));
+            let count = sessions.shed(pace.due(used, limit.bytes(), sessions.count(), now));
             if count > 0 {
                 let used_mib = used >> 20;
                 tracing::warn!(used_mib, %limit, count, "memory is nearly used up: sessions end");

@@ -8,6 +8,7 @@ use crate::generation::{Completion, Flow, FlowEvent, GenerationError};
 use crate::limits::rate_limit::TokenBucket;
 use crate::mechanism::Mechanism;
 use crate::metrics::{DeliveryLabel, ReasonLabel};
+use crate::open_sessions::{Ending, OpenSession};
 use crate::scheduling;
 use crate::session::chunk_traces::ChunkTraces;
 use crate::session::end::{EndReason, SessionEnd, write_within};
@@ -15,7 +16,6 @@ use crate::session::keepalive::{Keepalive, KeepaliveAction};
 use crate::session::message_deadline::MessageDeadline;
 use crate::session::refusal_backoff::{PauseCount, RefusalBackoff, Rejections};
 use crate::state::ServerState;
-use crate::stats::{Ending, SessionStatsGuard};
 use crate::traces::Parent;
 use crate::websocket::frame::Opcode;
 use crate::websocket::inbox::Message;
@@ -81,7 +81,7 @@ pub async fn serve<S>(
     socket: WebSocket<S>,
     state: &ServerState,
     offer: ServerOffer,
-    stats: SessionStatsGuard,
+    stats: OpenSession,
     bucket: TokenBucket,
     parent: Option<Parent>,
 ) -> Ended<S>
@@ -144,7 +144,7 @@ fn ended_by_server(ending: Ending) -> SessionEnd {
 /// already.
 struct Remaining<S> {
     socket: WebSocket<S>,
-    stats: SessionStatsGuard,
+    stats: OpenSession,
     end: SessionEnd,
     owes_until: Instant,
 }
@@ -183,7 +183,7 @@ struct Driver<'a, S> {
     /// The part of the session's counts that the metrics contain.
     counted: SessionCounts,
     /// Figures for the page.
-    stats: SessionStatsGuard,
+    stats: OpenSession,
     /// Spans of the traced chunks.
     traces: ChunkTraces,
     /// Start times of the chunks in generation. At most [`JOB_WINDOW`].

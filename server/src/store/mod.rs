@@ -226,9 +226,10 @@ impl Store {
                 None
             }
         };
-        match &found {
-            Some(_) => inner.pace.useful(key),
-            None => inner.pace.useless(started.elapsed()),
+        if found.is_none() {
+            inner.pace.useless(started.elapsed());
+        } else if inner.pace.useful(key) {
+            tracing::info!("objects of the store are valid again");
         }
         found
     }
@@ -307,6 +308,12 @@ impl Inner {
             self.metrics.store_reads_invalid.inc();
             tile.inspect(|tile| self.is_broken(*tile));
             tracing::debug!(%key, "an object of the store is damaged or foreign; the chunk is made");
+            if self.pace.invalid(Instant::now()) {
+                tracing::warn!(
+                    "objects of the store are damaged or foreign; chunks are made, and one read in 5 s tries \
+                     it again"
+                );
+            }
             return None;
         };
         self.metrics.store_hits.inc();

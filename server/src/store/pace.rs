@@ -28,7 +28,8 @@ const MAX_LOSS: i64 = 100_000_000;
 /// One late answer among this many in time stops nothing: it is beyond the 99th percentile.
 const LATE_PART: u32 = 256;
 
-/// Failures in a row after which the store counts as failing.
+/// Failures in a row after which the store counts as failing, and invalid objects in a row after
+/// which it counts as damaged.
 const FAILURES: u32 = 5;
 
 /// A sample counts for at most this multiple of the average: one answer out of line, as a late one
@@ -53,6 +54,8 @@ pub struct Pace {
     in_time: AtomicU32,
     /// Failures in a row.
     failures: AtomicU32,
+    /// Invalid objects since the last valid one, at most [`FAILURES`].
+    invalid: AtomicU32,
     /// Nanoseconds that reads without a result may still take, at most [`MAX_LOSS`].
     budget: AtomicI64,
     tried: Mutex<Option<Instant>>,
@@ -69,17 +72,19 @@ impl Pace {
             presumed: AtomicU64::new(0),
             in_time: AtomicU32::new(0),
             failures: AtomicU32::new(0),
+            invalid: AtomicU32::new(0),
             budget: AtomicI64::new(MAX_LOSS),
             tried: Mutex::new(None),
         }
     }
 
-    /// The time to wait for a chunk; none if its answer would likely come later than that, or if
-    /// reads without a result have used up their time and the chunk is not known to be in the store
-    /// (`is_stored`). Then one read every 5 s is worth a try all the same.
+    /// The time to wait for a chunk; none if its answer would likely come later than that, if the
+    /// store is damaged, or if reads without a result have used up their time and the chunk is not
+    /// known to be in the store (`is_stored`). Then one read every 5 s is worth a try all the same.
     pub fn wait(&self, key: ChunkKey, is_stored: bool, now: Instant) -> Option<Duration> {
         let wait = self.longest_wait(key);
-        if self.is_quick(wait) && (is_stored || self.budget.load(Ordering::Relaxed) > 0) {
+        let is_whole = self.invalid.load(Ordering::Relaxed) < FAILURES;
+        if is_whole && self.is_quick(wait) && (is_stored || self.budget.load(Ordering::Relaxed) > 0) {
             return Some(wait);
         }
         let mut tried = self.tried.lock().unwrap_or_else(PoisonError::into_inner);
@@ -115,9 +120,22 @@ impl Pace {
     }
 
     /// A read brought a chunk. It saved about what the chunk takes to make, which counts as if it
-    /// had been made.
-    pub fn useful(&self, key: ChunkKey) {
+    /// had been made. Whether the store was damaged before.
+    pub fn useful(&self, key: ChunkKey) -> bool {
         self.earn(key);
+        self.invalid.swap(0, Ordering::Relaxed) == FAILURES
+    }
+
+    /// A read brought an object that is no chunk. Whether the store counts as damaged since then:
+    /// each wait for such an object delays its chunk, by far more than making it takes where the
+    /// least wait is long.
+    pub fn invalid(&self, now: Instant) -> bool {
+        let before = self.invalid.load(Ordering::Relaxed);
+        self.invalid.store(FAILURES.min(before + 1), Ordering::Relaxed);
+        if before + 1 >= FAILURES {
+            self.hold_back(now);
+        }
+        before + 1 == FAILURES
     }
 
     /// A read was answered while its thread waited, with a chunk or without.
@@ -252,6 +270,52 @@ mod tests {
             }
         }
         assert_eq!((0..1000).filter(read).count(), 1000);
+    }
+
+    /// Every wait of a damaged store is as long as a read, which takes ten times as long as making
+    /// the chunk: few chunks of a thousand pay for it. Writes go on, since they repair it.
+    #[test]
+    fn invalid_objects_in_a_row_stop_reads_until_a_valid_one() {
+        let (pace, now) = (Pace::new(MS(100)), Instant::now());
+        let key = ChunkKey::new(3, 0, 0).unwrap();
+        let mut begun = 0;
+        let reads = (0..1000).filter(|_| {
+            let is_read = pace.wait(key, true, now).is_some();
+            if is_read {
+                pace.answered(MS(10));
+                begun += usize::from(pace.invalid(now));
+                pace.useless(MS(10));
+            }
+            pace.made(key, MS(1));
+            is_read
+        });
+        assert_eq!(reads.count(), FAILURES as usize);
+        assert_eq!(begun, 1);
+        assert!(pace.is_worth_writing(key));
+        assert!(pace.wait(key, true, now + RETRY).is_some(), "one try");
+        assert!(!pace.invalid(now + RETRY), "known");
+        assert_eq!(pace.wait(key, true, now + RETRY), None);
+        assert!(pace.wait(key, true, now + 2 * RETRY).is_some());
+        assert!(pace.useful(key), "reported once");
+        assert!(!pace.useful(key));
+        assert!(pace.wait(key, true, now + 2 * RETRY).is_some());
+    }
+
+    /// The control: one damaged object of four holds no read back.
+    #[test]
+    fn some_invalid_objects_stop_no_reads() {
+        let (pace, now) = (Pace::new(MS(100)), Instant::now());
+        let key = ChunkKey::new(3, 0, 0).unwrap();
+        let is_read = |number: &u32| {
+            let is_read = pace.wait(key, true, now).is_some();
+            if number % 4 == 0 {
+                pace.invalid(now);
+            } else {
+                pace.useful(key);
+            }
+            is_read
+        };
+        assert_eq!((0..1000).filter(is_read).count(), 1000);
     }
 
     /// One of twenty chunks is missing in a store for which every chunk may wait: the others are

@@ -14,17 +14,17 @@ async fn server_with(bytes: u64) -> Server {
 #[tokio::test]
 async fn beyond_the_mark_open_sessions_end_the_newest_first() {
     use server::memory::{MemoryMark, mark};
-    use server::stats::LiveStats;
+    use server::open_sessions::OpenSessions;
     use std::sync::Arc;
     use std::time::Duration;
     use tokio::time::timeout;
-    let stats = LiveStats::default();
-    let sessions: Vec<_> = (1..=16).map(|number| stats.register(number, None)).collect();
+    let open = OpenSessions::default();
+    let sessions: Vec<_> = (1..=16).map(|number| open.register(number, None)).collect();
     let has_to_end =
         async |index: usize| timeout(Duration::from_millis(1), sessions[index].ends()).await.is_ok();
     assert!(!has_to_end(15).await);
     let full = Arc::new(MemoryMark::new(Some(MemoryLimit::of_machine(1 << 20))));
-    let watching = tokio::spawn(mark::watch(full, Arc::default(), stats.clone()));
+    let watching = tokio::spawn(mark::watch(full, Arc::default(), open.clone()));
     while !has_to_end(15).await {
         tokio::task::yield_now().await;
     }

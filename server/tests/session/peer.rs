@@ -37,7 +37,7 @@ impl Peer {
                 socket,
                 &server,
                 server.offer.clone(),
-                server.stats.register(1, None),
+                server.open_sessions.register(1, None),
                 bucket,
                 None,
             )
