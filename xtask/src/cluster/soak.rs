@@ -125,7 +125,7 @@ pub fn rows(length: Duration) -> Result<Vec<Bar>> {
             "one a minute: a replica killed, the store hangs, a replica terminated, the store 2 s late, \
              every object damaged",
         ),
-        Bar::at_most("soak: ends after SIGTERM that took too long", Some(soak.late_ends as f64), "", 0.0),
+        Bar::none("soak: ends after SIGTERM that took too long", Some(soak.late_ends as f64)),
         wrong("soak: wrong chunks", &report),
         Bar::none("soak: lost sessions without another", without_another(&report)),
         Bar::reported("soak: gap between deliveries, longest", gap(&report, "max"), "s"),
