@@ -116,7 +116,7 @@ pub struct Args {
     pub samples: Option<u32>,
 
     /// Samples of materials along the longer axis of a pixel's footprint, 1 (none) to 16: more are
-    /// sharper at flat angles [default: 8; 1 with --quality low]
+    /// sharper at flat angles [default: 8; 1 with --quality low and on a software driver]
     #[arg(long, value_name = "N", allow_negative_numbers = true,
           value_parser = clap::value_parser!(u16).range(1..=16))]
     pub anisotropy: Option<u16>,
