@@ -69,7 +69,7 @@ view() { # NAME ARGUMENTS...
     lab pom $pom
     lab lod $lod
     lab culling $culling
-    # Last: it takes more than five minutes on a GPU that draws with a few of its multiprocessors.
+    # Last: one thread of the processor builds its worlds, which takes seven minutes.
     lab visual $visual
 }
 # The folder that it was built in does not exist here.
