@@ -69,6 +69,9 @@ enum Command {
     GpuRecord {
         /// The folder that the bundle's script filled
         folder: std::path::PathBuf,
+        /// Writes the record of this measurement alone: lod, pom, visual or culling
+        #[arg(long, value_name = "NAME")]
+        only: Option<String>,
     },
     /// Check the source text: columns, retired words, names in documents, import circles
     Source,
@@ -96,7 +99,7 @@ fn main() -> ExitCode {
         Command::Cluster(options) => cluster::run(options),
         Command::Gallery(options) => gallery::run(&options),
         Command::GpuBundle => gpu_bundle::build(),
-        Command::GpuRecord { folder } => gpu_bundle::record(&folder),
+        Command::GpuRecord { folder, only } => gpu_bundle::record(&folder, only.as_deref()),
         Command::Source => source::run(),
         Command::Bless { what, write } => bless::run(what, write),
     });

@@ -26,7 +26,8 @@ fn text(poses: &[Pose], is_drawn: impl Fn(&Pose) -> (bool, bool)) -> String {
          `cargo xtask gallery` writes this page and the right column, `cargo xtask gallery --before` the\n\
          left one; the poses are in [poses.txt](gallery/poses.txt). Each picture is `tombolo-view\n\
          --connect URL --size {SIZE} --shot FILE.png` with the options below it. The earlier viewer is\n\
-         run without `--quality`, and with `--camera` in place of `--place`.\n"
+         run without `--quality`, and with `--camera` in place of `--place`. Pictures are reduced to 256\n\
+         colours afterwards: bands in the sky come from that, not from the viewer.\n"
     );
     for pose in poses {
         let cell = |is_there: bool, path: String| {

@@ -3,7 +3,7 @@
 use crate::machine::{self, Commit, Machine};
 use crate::measure;
 use crate::measure::record::{self, Heading, Origin};
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, ensure};
 use bars::Bar;
 use bars::figures::{at, each, fill, list, text};
 use serde_json::{Value, json};
@@ -43,15 +43,25 @@ impl Reports<'_> {
 /// record.
 ///
 /// The first call notes the machine in `machine.json`; a later one, on another machine, reads it.
+/// With `only`, a report of [`REPORTS`], the record has its name and no other rows: of a run that
+/// had no time for the other steps.
 ///
 /// # Errors
-/// The folder cannot be read or written, or a bar was missed.
-pub fn write(folder: &Path) -> Result<()> {
+/// The folder cannot be read or written, `only` is no report, or a bar was missed.
+pub fn write(folder: &Path, only: Option<&str>) -> Result<()> {
     let reports = Reports(folder);
     let origin = origin(&reports).context("gpu-record")?;
-    let rows = rows(&reports);
     let timings = reports.json("timings");
-    let heading = Heading { name: NAME, adapter: text(&timings, "gpu/adapter"), notes: &notes(&reports) };
+    let adapter = text(&timings, "gpu/adapter");
+    let (name, rows, notes) = match only {
+        None => (NAME, rows(&reports), notes(&reports)),
+        Some(name) => {
+            ensure!(REPORTS.contains(&name), "gpu-record: `{name}` is none of {}", REPORTS.join(", "));
+            let report = reports.json(name);
+            (name, measure::rows_of(name, &report), notes_of(&report))
+        }
+    };
+    let heading = Heading { name, adapter, notes: &notes };
     // A second call replaces the run that the first one noted.
     let _ = std::fs::remove_file(folder.join("runs.csv"));
     let path = record::write_foreign(folder, &heading, &rows, &origin).context("gpu-record")?;
@@ -123,11 +133,13 @@ fn notes(reports: &Reports<'_>) -> Vec<String> {
     let frames = "{frames} frames, each awaited before the next one; {triangles} triangles, {plants_drawn} \
                   plants.";
     notes.extend(VIEWS.map(|(name, what)| format!("Of the {what}: {}", fill(frames, &reports.json(name)))));
-    for name in REPORTS {
-        let report = reports.json(name);
-        notes.extend(list(&report, "notes").iter().filter_map(Value::as_str).map(str::to_owned));
-    }
+    notes.extend(REPORTS.iter().flat_map(|name| notes_of(&reports.json(name))));
     notes
+}
+
+/// The notes of a report of the lab.
+fn notes_of(report: &Value) -> Vec<String> {
+    list(report, "notes").iter().filter_map(Value::as_str).map(str::to_owned).collect()
 }
 
 #[cfg(test)]
@@ -140,7 +152,7 @@ mod tests {
         for (file, text) in files {
             std::fs::write(folder.join(file), text).unwrap();
         }
-        let error = write(&folder).unwrap_err().to_string();
+        let error = write(&folder, None).unwrap_err().to_string();
         let page = std::fs::read_to_string(folder.join("gpu.md")).unwrap();
         std::fs::remove_dir_all(&folder).unwrap();
         (error, page)
@@ -160,6 +172,20 @@ mod tests {
         for line in ["| CPU | X, 16 cores |", "| Date | 2026-01-02 |", "| Commit | abc |"] {
             assert!(page.contains(line), "{line}: {page}");
         }
+    }
+
+    #[test]
+    fn the_record_of_one_measurement_has_its_name_and_no_other_rows() {
+        let folder = std::env::temp_dir().join(format!("tombolo-gpu-record-only-{}", std::process::id()));
+        std::fs::create_dir_all(&folder).unwrap();
+        let row = json!({ "name": "a row", "figure": 1.0, "direction": "at_most", "bar": 2.0 });
+        std::fs::write(folder.join("visual.json"), json!({ "bars": [row] }).to_string()).unwrap();
+        write(&folder, Some("visual")).unwrap();
+        assert!(write(&folder, Some("gpu")).is_err());
+        let page = std::fs::read_to_string(folder.join("visual.md")).unwrap();
+        std::fs::remove_dir_all(&folder).unwrap();
+        assert!(page.starts_with("# visual") && page.contains("| a row | 1 |"), "{page}");
+        assert!(!page.contains("GPU twin"), "{page}");
     }
 
     #[test]
