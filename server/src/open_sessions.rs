@@ -288,7 +288,7 @@ mod tests {
 
     #[tokio::test]
     async fn sessions_of_the_networks_that_have_the_most_end_first() {
-        let (sessions, start) = (OpenSessions::default(), Instant::now());
+        let sessions = OpenSessions::default();
         let client = |number: u64| Some(IpAddr::from([10, 0, 0, if number < 6 { 1 } else { number as u8 }]));
         let open: Vec<_> =
             (1..=8).map(|number| (number, sessions.register(number, client(number)))).collect();

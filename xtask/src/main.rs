@@ -23,6 +23,7 @@ mod records;
 mod server;
 mod setup;
 mod source;
+mod test_modules;
 
 use clap::{Parser, Subcommand};
 use std::process::ExitCode;

@@ -308,7 +308,7 @@ mod tests {
         let key = ChunkKey::new(3, 0, 0).unwrap();
         let is_read = |number: &u32| {
             let is_read = pace.wait(key, true, now).is_some();
-            if number % 4 == 0 {
+            if number.is_multiple_of(4) {
                 pace.invalid(now);
             } else {
                 pace.useful(key);

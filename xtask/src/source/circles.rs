@@ -5,8 +5,9 @@
 //! nearest common ancestor, so a cycle is reported between sibling modules. A module and its own
 //! descendants make no cycle: in Rust a parent declares and uses its children. Tests do not count.
 
-use super::lines::{is_test, without_tests};
+use super::lines::is_test;
 use super::{Files, Finding};
+use crate::test_modules::without_tests;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Path of a module in its crate; the crate's root is empty.

@@ -1,6 +1,7 @@
 //! Counts of lines.
 
 use super::{Files, Finding};
+use crate::test_modules::without_tests;
 
 /// Most lines of the README.
 pub const README_LIMIT: usize = 80;
@@ -35,15 +36,6 @@ pub fn measuring(files: &Files) -> usize {
 /// Whether a whole file is a test.
 pub fn is_test(path: &str) -> bool {
     path.starts_with("tests/") || path.contains("/tests/") || path.ends_with("/tests.rs")
-}
-
-/// The lines of a file with their numbers from 0, up to its test module. Such a module ends a file.
-pub fn without_tests(text: &str) -> impl Iterator<Item = (usize, &str)> {
-    let end = text
-        .lines()
-        .zip(text.lines().skip(1))
-        .position(|(line, next)| line == "#[cfg(test)]" && next.starts_with("mod ") && next.ends_with('{'));
-    text.lines().enumerate().take(end.unwrap_or(usize::MAX))
 }
 
 #[cfg(test)]

@@ -1,7 +1,8 @@
 //! Runs of equal lines in two places.
 
-use super::lines::{is_test, without_tests};
+use super::lines::is_test;
 use super::{Files, Finding};
+use crate::test_modules::without_tests;
 use std::collections::HashMap;
 
 /// Lines that make a repeat.
