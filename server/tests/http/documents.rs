@@ -164,7 +164,9 @@ async fn the_table_of_metrics_agrees_with_what_a_server_renders() {
             "{name}"
         );
         let words: BTreeSet<&str> = quoted(row[3]);
-        let is_value = |word: &&str| word.bytes().all(|byte| byte.is_ascii_lowercase() || byte == b'_');
+        let is_value = |word: &&str| {
+            word.bytes().all(|byte| byte.is_ascii_lowercase() || byte.is_ascii_digit() || byte == b'_')
+        };
         let values: BTreeSet<&str> = words.into_iter().filter(is_value).collect();
         if family.labels.is_empty() || values.is_empty() {
             continue;
