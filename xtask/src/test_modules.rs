@@ -1,4 +1,4 @@
-//! Which lines of a Rust file are tests.
+//! Which lines of a Rust file are code, and which are tests.
 
 /// The lines of a file with their numbers from 0, up to its test module. Such a module ends a file.
 pub fn without_tests(text: &str) -> impl Iterator<Item = (usize, &str)> {
@@ -9,9 +9,10 @@ pub fn without_tests(text: &str) -> impl Iterator<Item = (usize, &str)> {
     text.lines().enumerate().take(end.unwrap_or(usize::MAX))
 }
 
-/// Whether two versions of a file differ in tests alone.
-pub fn differ_in_tests_alone(one: &str, other: &str) -> bool {
-    let lines = |text| without_tests(text).map(|(_, line)| line);
+/// Whether two versions of a file have the same code, apart from tests and lines of comments.
+pub fn have_equal_code(one: &str, other: &str) -> bool {
+    let is_code = |line: &&str| !line.trim_start().starts_with("//");
+    let lines = |text| without_tests(text).map(|(_, line)| line).filter(is_code);
     lines(one).eq(lines(other))
 }
 
@@ -20,11 +21,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_change_before_the_test_module_is_seen_and_one_in_it_is_not() {
+    fn a_change_of_code_is_seen_and_one_of_tests_or_comments_is_not() {
         let file = |code: &str, test: &str| format!("{code}\n#[cfg(test)]\nmod tests {{\n{test}\n}}\n");
         let one = file("fn a() {}", "    fn b() {}");
-        assert!(differ_in_tests_alone(&one, &file("fn a() {}", "    fn c() {}")));
-        assert!(!differ_in_tests_alone(&one, &file("fn c() {}", "    fn b() {}")));
-        assert!(!differ_in_tests_alone("fn a() {}\n", "fn a() {}\nfn b() {}\n"));
+        assert!(have_equal_code(&one, &file("fn a() {}", "    fn c() {}")));
+        assert!(have_equal_code(&one, &file("/// Does nothing.\nfn a() {}", "    fn b() {}")));
+        assert!(!have_equal_code(&one, &file("fn c() {}", "    fn b() {}")));
+        assert!(!have_equal_code("fn a() {}\n", "fn a() {}\nfn b() {}\n"));
     }
 }

@@ -6,7 +6,7 @@
 //! After an update that may change a figure, its measurement is to be run again.
 
 use crate::process;
-use crate::test_modules::differ_in_tests_alone;
+use crate::test_modules::have_equal_code;
 use anyhow::Result;
 
 /// What decides the figures of every measurement: the bars and figures of reports, and the median
@@ -323,7 +323,7 @@ pub fn reason(name: &str, commit: &str) -> Option<String> {
     diff.args(paths).args(NO_FIGURES).args(TESTS.iter().filter(|_| !OF_TESTS.contains(&name)));
     match process::output(diff) {
         Ok(changed) => {
-            let counts = |path: &&str| OF_TESTS.contains(&name) || !changes_tests_alone(commit, path);
+            let counts = |path: &&str| OF_TESTS.contains(&name) || !keeps_code(commit, path);
             let count = changed.lines().filter(counts).count();
             (count > 0).then(|| format!("{count} measured files changed since"))
         }
@@ -331,16 +331,16 @@ pub fn reason(name: &str, commit: &str) -> Option<String> {
     }
 }
 
-/// Whether a file of the working tree has only other tests than at a commit. False for a file that
-/// is new or gone.
-fn changes_tests_alone(commit: &str, path: &str) -> bool {
+/// Whether a Rust file of the working tree has the code that it had at a commit: tests and comments
+/// decide no figure. False for a file that is new or gone.
+fn keeps_code(commit: &str, path: &str) -> bool {
     if !path.ends_with(".rs") {
         return false;
     }
     let mut git = process::command("git");
     git.args(["show", &format!("{commit}:{path}")]);
     match (process::output(git), std::fs::read_to_string(process::root().join(path))) {
-        (Ok(before), Ok(now)) => differ_in_tests_alone(&before, &now),
+        (Ok(before), Ok(now)) => have_equal_code(&before, &now),
         _ => false,
     }
 }
