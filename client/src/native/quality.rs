@@ -33,8 +33,8 @@ pub struct Preset {
     pub view_distance_m: u32,
     /// Samples per pixel.
     pub samples: u32,
-    /// Anisotropy of the filter of materials; none on a software driver, where a frame with four
-    /// samples a pixel takes ten times as long with it.
+    /// Anisotropy of the filter of materials; none on a software driver, where it takes most of
+    /// the time of a frame with four samples a pixel.
     pub anisotropy: u16,
     /// Method against visible repetition of materials.
     pub tiling: Tiling,

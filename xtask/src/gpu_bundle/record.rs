@@ -51,17 +51,19 @@ impl Reports<'_> {
 pub fn write(folder: &Path, only: Option<&str>) -> Result<()> {
     let reports = Reports(folder);
     let origin = origin(&reports).context("gpu-record")?;
-    let timings = reports.json("timings");
-    let adapter = text(&timings, "gpu/adapter");
-    let (name, rows, notes) = match only {
-        None => (NAME, rows(&reports), notes(&reports)),
+    let (name, rows, notes, adapter) = match only {
+        None => {
+            let adapter = text(&reports.json("timings"), "gpu/adapter").map(str::to_owned);
+            (NAME, rows(&reports), notes(&reports), adapter)
+        }
         Some(name) => {
             ensure!(REPORTS.contains(&name), "gpu-record: `{name}` is none of {}", REPORTS.join(", "));
             let report = reports.json(name);
-            (name, measure::rows_of(name, &report), notes_of(&report))
+            let adapter = text(&report, "record_adapter").map(str::to_owned);
+            (name, measure::rows_of(name, &report), notes_of(&report), adapter)
         }
     };
-    let heading = Heading { name, adapter, notes: &notes };
+    let heading = Heading { name, adapter: adapter.as_deref(), notes: &notes };
     // A second call replaces the run that the first one noted.
     let _ = std::fs::remove_file(folder.join("runs.csv"));
     let path = record::write_foreign(folder, &heading, &rows, &origin).context("gpu-record")?;

@@ -5,7 +5,8 @@
 # Needs x86-64 Linux with glibc 2.34 or newer, a Vulkan loader (libvulkan.so.1) and a driver, and no
 # network. QUICK=1 takes smaller samples, for software drivers: rows that need the full samples then
 # have no figure and miss. All steps end within TIME_LIMIT seconds (default 1200), each within
-# STEP_LIMIT (default 600). Most of the work of the last two is the CPU's: eight cores or more.
+# STEP_LIMIT (default 600). ONLY=NAME runs one of lod, pom, culling and visual and writes its record
+# in place of gpu.md. Most of the work of the last two is the CPU's: eight cores or more.
 set -u
 here=$(cd "$(dirname "$0")" && pwd)
 out=${1:-$here/record}
@@ -30,6 +31,7 @@ echo "$samples" > "$out/samples.txt"
 failed=0
 step() { # NAME PROGRAM ARGUMENTS...
     name=$1; program=$2; shift 2
+    [ "${ONLY:-$name}" = "$name" ] || return 0
     began=$(date +%s)
     limit=$(( end - began < step_limit ? end - began : step_limit ))
     # A limit of 0 would be none.
@@ -73,5 +75,5 @@ view() { # NAME ARGUMENTS...
     lab visual $visual
 }
 # The folder that it was built in does not exist here.
-CARGO_MANIFEST_DIR="$here/xtask" "$here/bin/xtask" gpu-record "$out" || failed=1
+CARGO_MANIFEST_DIR="$here/xtask" "$here/bin/xtask" gpu-record "$out" ${ONLY:+--only "$ONLY"} || failed=1
 exit $failed

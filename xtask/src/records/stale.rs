@@ -323,7 +323,7 @@ pub fn reason(name: &str, commit: &str) -> Option<String> {
     diff.args(paths).args(NO_FIGURES).args(TESTS.iter().filter(|_| !OF_TESTS.contains(&name)));
     match process::output(diff) {
         Ok(changed) => {
-            let counts = |path: &&str| OF_TESTS.contains(&name) || !keeps_code(commit, path);
+            let counts = |path: &&str| ages_with_text(name) || !keeps_code(commit, path);
             let count = changed.lines().filter(counts).count();
             (count > 0).then(|| format!("{count} measured files changed since"))
         }
@@ -331,8 +331,13 @@ pub fn reason(name: &str, commit: &str) -> Option<String> {
     }
 }
 
+/// Whether tests and comments decide figures of a measurement.
+fn ages_with_text(name: &str) -> bool {
+    OF_TESTS.contains(&name) || WITHOUT_COMPILER.contains(&name)
+}
+
 /// Whether a Rust file of the working tree has the code that it had at a commit: tests and comments
-/// decide no figure. False for a file that is new or gone.
+/// decide no figure of most measurements. False for a file that is new or gone.
 fn keeps_code(commit: &str, path: &str) -> bool {
     if !path.ends_with(".rs") {
         return false;

@@ -18,6 +18,12 @@ fn every_measurement_of_programs_ages_with_the_compiler() {
     }
 }
 
+#[test]
+fn what_counts_text_ages_with_tests_and_comments_and_programs_do_not() {
+    assert!(["code", "audit", "mutants", "websocket"].into_iter().all(ages_with_text));
+    assert!(!["streaming", "heightfield", "visual"].into_iter().any(ages_with_text));
+}
+
 fn has_benchmarks(paths: &[&str]) -> bool {
     paths.iter().any(|path| path.starts_with("server-bench"))
 }
