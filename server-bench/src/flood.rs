@@ -194,20 +194,6 @@ pub async fn slowest_probe_ms(
     Ok(quantile_ms(probes, 1.0).filter(|_| took_place))
 }
 
-/// The p99 of the polite client, milliseconds, while sessions send the largest view that the server
-/// accepts without pause; none without a flood.
-pub async fn flooded_p99_ms(
-    server: &ServerProcess,
-    sessions: usize,
-    keys: &[ChunkKey],
-    length: Duration,
-) -> Result<Option<f64>> {
-    let flood = Flood::start(server.address, Kind::Largest, sessions, None)?;
-    let polite = polite(server.address, keys.to_vec(), POLITE_INTERVAL, Instant::now() + length).await?;
-    let took_place = flood.seen(server).await.took_place(sessions, length);
-    Ok(Some(polite.p99_ms()).filter(|_| took_place))
-}
-
 /// Sessions that flood a server, on a thread of their own, so that they do not delay the measured
 /// clients. They end when this is dropped.
 struct Flood {

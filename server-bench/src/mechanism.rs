@@ -19,8 +19,6 @@ pub enum Mechanism {
     ViewTurns,
     /// Fast effort at level 0 under backlog
     FastEffort,
-    /// Yields of busy threads
-    ThreadYields,
 }
 
 impl Mechanism {
@@ -34,7 +32,6 @@ impl Mechanism {
             Self::RefusalBackoff => "refusal-backoff",
             Self::ViewTurns => "view-turns",
             Self::FastEffort => "fast-effort",
-            Self::ThreadYields => "thread-yields",
         }
     }
 
@@ -59,7 +56,6 @@ impl Mechanism {
             Self::RefusalBackoff => &["--measure-without", "refusal-backoff"],
             Self::ViewTurns => &["--measure-without", "view-turns"],
             Self::FastEffort => &["--measure-without", "fast-effort"],
-            Self::ThreadYields => &["--measure-without", "thread-yields"],
         }
     }
 }

@@ -43,8 +43,8 @@ pub struct BakeArgs {
     /// Seed of the world, 0 to 18446744073709551615
     #[arg(long, value_name = "N", env = "TOMBOLO_WORLD_SEED", default_value_t = 1)]
     pub world_seed: u64,
-    /// Levels of detail, finest and coarsest, 0 to 16
-    #[arg(long, value_name = "A-B", default_value = "2-16", value_parser = levels)]
+    /// Levels of detail, finest and coarsest, 0 to 16; servers read 2 to 7
+    #[arg(long, value_name = "A-B", default_value = "2-7", value_parser = levels)]
     pub levels: RangeInclusive<u8>,
     /// West, north, east and south border in metres from the origin; whole tiles of 16 x 16 chunks
     /// are baked
@@ -269,7 +269,7 @@ fn levels(text: &str) -> Result<RangeInclusive<u8>, String> {
     let (finest, coarsest) = text.split_once('-').unwrap_or((text, text));
     match (finest.parse(), coarsest.parse()) {
         (Ok(finest), Ok(coarsest)) if finest <= coarsest && coarsest <= 16 => Ok(finest..=coarsest),
-        _ => Err("give the finest and the coarsest level, such as 2-16".into()),
+        _ => Err("give the finest and the coarsest level, such as 2-7".into()),
     }
 }
 

@@ -20,7 +20,7 @@
 //! | [`cache`] | encoded frames in memory and on disk |
 //! | [`store`], [`bake`] | chunks that replicas share; making those of a region |
 //! | [`source`], [`chunk_id`] | where chunks come from, and their names |
-//! | [`scheduling`], [`open_files`] | sharing of a processor between threads; the limit of open files |
+//! | [`open_files`] | the limit of open files |
 //! | [`mechanism`] | what a measurement can turn off |
 //! | [`map`] | map tiles rendered from chunks |
 //! | [`stats`], [`latency`], [`metrics`], [`traces`] | figures, and spans of single chunks |
@@ -49,7 +49,6 @@ pub mod open_files;
 pub mod open_sessions;
 pub mod proxy;
 pub mod reload;
-pub mod scheduling;
 pub mod session;
 pub mod site_index;
 pub mod source;

@@ -10,7 +10,6 @@ use crate::limits::per_ip::{IpPermit, PerIpLimiter};
 use crate::limits::system_buffers;
 use crate::limits::write_timeout::WriteTimeoutStream;
 use crate::memory::mark;
-use crate::metrics::ReasonLabel;
 use crate::proxy::proxy_protocol;
 use crate::reload;
 use crate::session::end::EndReason;
@@ -92,8 +91,8 @@ pub async fn run(
         tracing::warn!(?mechanism, "a mechanism against overload is turned off: for measurements only");
     }
 
-    let failures = ConnectionFailure::ALL.map(ConnectionFailure::name);
-    state.metrics.declare_ends(EndReason::ALL.map(EndReason::name), failures);
+    state.metrics.sessions.declare_ends(EndReason::ALL.map(EndReason::name));
+    state.metrics.limits.declare_connection_ends(ConnectionFailure::ALL.map(ConnectionFailure::name));
     warn_of_openness(&state, &listener);
     let _reload = AbortOnDropHandle::new(tokio::spawn(reload::run(Arc::clone(&state))));
     let _memory = AbortOnDropHandle::new(tokio::spawn(mark::watch(
@@ -123,9 +122,9 @@ pub async fn run(
         let Some(place) = places.take(peer, is_proxy, &state) else { continue };
         let (router, state) = (router.clone(), Arc::clone(&state));
         connections.spawn(async move {
-            state.metrics.connections.inc();
+            state.metrics.limits.connections.inc();
             serve_connection(stream, peer, place, router, &state).await;
-            state.metrics.connections.dec();
+            state.metrics.limits.connections.dec();
         });
     }
 
@@ -241,10 +240,10 @@ impl Places {
         let ip_permit = if is_proxy { None } else { Some(self.permit_of(peer, state)?) };
         if self.permits.available_permits() < RESERVED_CONNECTIONS && self.open.displace_for(peer) {
             let reason = ConnectionFailure::Displaced.name();
-            state.metrics.connections_failed.get_or_create(&ReasonLabel { reason }).inc();
+            state.metrics.limits.connection_failed(reason);
         }
         let Some(permit) = permit else {
-            state.metrics.connections_rejected.inc();
+            state.metrics.limits.connections_rejected.inc();
             return None;
         };
         let client = ip_permit.map(|ip_permit| self.client_place(peer, ip_permit));
@@ -255,7 +254,7 @@ impl Places {
     fn permit_of(&self, client: IpAddr, state: &ServerState) -> Option<IpPermit> {
         let permit = self.per_ip.try_acquire(Some(client), self.permits.available_permits());
         if permit.is_none() {
-            state.metrics.connections_rejected.inc();
+            state.metrics.limits.connections_rejected.inc();
             state.peer_log.report(Some(client), "too many connections");
         }
         permit
@@ -295,7 +294,7 @@ async fn serve_connection(
         Ok(None) => return,
         Err(Failure { client, reason }) => {
             let reason = reason.name();
-            state.metrics.connections_failed.get_or_create(&ReasonLabel { reason }).inc();
+            state.metrics.limits.connection_failed(reason);
             state.peer_log.report(Some(client), reason);
             return;
         }

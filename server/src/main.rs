@@ -4,7 +4,7 @@ use cli::UsageError;
 use server::bake::{BakeArgs, Baked};
 use server::config::{Args, Command, ServerConfig, log_filter};
 use server::traces::{self, Exporter};
-use server::{listener, open_files, scheduling};
+use server::{listener, open_files};
 use std::io::{ErrorKind, IsTerminal, Write};
 use std::process::ExitCode;
 use std::time::{Duration, Instant};
@@ -47,7 +47,6 @@ fn main() -> ExitCode {
     open_files::raise(config.max_sessions);
     let served = tokio::runtime::Builder::new_multi_thread()
         .enable_all()
-        .on_thread_unpark(scheduling::waited)
         .build()
         .map_err(|error| format!("cannot start the runtime: {error}"))
         .and_then(|runtime| {

@@ -16,6 +16,4 @@ pub enum Mechanism {
     ViewTurns,
     /// The fast effort at level 0 under backlog. Without it, all chunks are encoded compactly.
     FastEffort,
-    /// Busy threads yield. Without it, one that shares a processor waits for the scheduler's tick.
-    ThreadYields,
 }

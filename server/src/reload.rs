@@ -24,12 +24,11 @@ pub async fn run(state: Arc<ServerState>) {
     }
     let mut hangup = Hangup::new();
     let (gate, metrics) = (Arc::clone(&state.gate), &state.metrics);
-    let mut tokens = File::new("tokens", &metrics.tokens_reload_failed, move || gate.reload());
-    let mut certificate = state
-        .config
-        .tls
-        .clone()
-        .map(|tls| File::new("certificate", &metrics.certificate_reload_failed, move || tls.reload()));
+    let mut tokens = File::new("tokens", &metrics.limits.tokens_reload_failed, move || gate.reload());
+    let mut certificate =
+        state.config.tls.clone().map(|tls| {
+            File::new("certificate", &metrics.limits.certificate_reload_failed, move || tls.reload())
+        });
     loop {
         let is_asked = tokio::select! {
             () = hangup.received() => true,

@@ -85,7 +85,7 @@ impl ServerState {
     pub fn new(config: ServerConfig) -> Result<Self, ThreadPoolBuildError> {
         let land = Land::new(config.world_seed);
         let metrics = Arc::new(Metrics::default());
-        metrics.sessions_limit.set(i64::try_from(config.max_sessions).unwrap_or(i64::MAX));
+        metrics.sessions.limit.set(i64::try_from(config.max_sessions).unwrap_or(i64::MAX));
         let source = ProceduralSource::new(land);
         let limits = Limits {
             threads: config.threads,

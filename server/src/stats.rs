@@ -131,11 +131,11 @@ impl LiveStats {
         {
             return snapshot.report.clone();
         }
-        let latency: &LatencyHistogram = &metrics.latency;
+        let latency: &LatencyHistogram = &metrics.sessions.latency;
         let totals = Totals {
-            chunks: metrics.chunks_sent.get(),
-            bytes: metrics.sent_bytes.get(),
-            generated: metrics.jobs_completed.get(),
+            chunks: metrics.sessions.chunks_sent.get(),
+            bytes: metrics.sessions.sent_bytes.get(),
+            generated: metrics.generation.jobs_completed.get(),
             latency: latency.counts(),
         };
         let before = last.take().filter(|last| now.saturating_duration_since(last.at) < MAX_SPAN);
@@ -174,13 +174,13 @@ impl LiveStats {
         let report = Report {
             uptime_s: now.saturating_duration_since(self.started).as_secs_f64(),
             span_s,
-            sessions: SessionsReport { open: metrics.sessions.get().max(0).cast_unsigned(), listed },
+            sessions: SessionsReport { open: metrics.sessions.open.get().max(0).cast_unsigned(), listed },
             sent: before.zip(span_s).map(|(before, span_s)| SentReport {
                 chunks_per_s: totals.chunks.saturating_sub(before.totals.chunks) as f64 / span_s,
                 bytes_per_s: totals.bytes.saturating_sub(before.totals.bytes) as f64 / span_s,
             }),
             generation: GenerationReport {
-                queue: metrics.pending_jobs.get(),
+                queue: metrics.generation.pending_jobs.get(),
                 load: generation.load(),
                 chunks_per_s: before.and_then(|before| rate(totals.generated, before.totals.generated)),
             },
@@ -279,9 +279,9 @@ mod tests {
             (&first["span_s"], &first["sent"], &first["latency"]),
             (&Value::Null, &Value::Null, &Value::Null)
         );
-        fixture.metrics.chunks_sent.inc_by(30);
-        fixture.metrics.sent_bytes.inc_by(9000);
-        fixture.metrics.latency.observe(Duration::from_millis(8), 30);
+        fixture.metrics.sessions.chunks_sent.inc_by(30);
+        fixture.metrics.sessions.sent_bytes.inc_by(9000);
+        fixture.metrics.sessions.latency.observe(Duration::from_millis(8), 30);
         stats.set_sent(30, 9000);
         let second = fixture.at(2000);
         assert_eq!(second["sent"]["chunks_per_s"], 15.0);
@@ -299,7 +299,7 @@ mod tests {
     fn a_recent_snapshot_is_reused_and_an_old_one_is_not_compared() {
         let fixture = Fixture::new();
         let first = fixture.at(0);
-        fixture.metrics.chunks_sent.inc_by(30);
+        fixture.metrics.sessions.chunks_sent.inc_by(30);
         assert_eq!(fixture.at(500), first);
         assert_ne!(fixture.at(1000), first);
         assert_eq!(fixture.at(60_000)["sent"], Value::Null);
@@ -328,7 +328,7 @@ mod tests {
         let fixture = Fixture::new();
         let guards: Vec<_> =
             (0..2 * MAX_LISTED as u64).map(|number| fixture.sessions.register(number, None)).collect();
-        fixture.metrics.sessions.set(guards.len() as i64);
+        fixture.metrics.sessions.open.set(guards.len() as i64);
         let sessions = &fixture.at(0)["sessions"];
         assert_eq!(sessions["open"], 2 * MAX_LISTED);
         let listed = sessions["listed"].as_array().unwrap();

@@ -4,7 +4,6 @@ use crate::process;
 use crate::server::Server;
 use crate::setup::{self, Extent};
 use anyhow::{Context, Result, bail};
-use std::path::PathBuf;
 use terrain::constants::UNITS_PER_METRE;
 use terrain::{Land, Position};
 
@@ -74,12 +73,11 @@ fn show(server: &Server) -> Result<()> {
 
 fn fly(server: &Server, options: Options) -> Result<()> {
     let why = if options.headless { "as asked" } else { "no display is set" };
-    println!("demo: rendering without a window ({why})");
+    println!("demo: rendering {} pictures without a window ({why})", FLIGHT.len());
     let folder = process::target().join("demo");
     std::fs::create_dir_all(&folder).with_context(|| format!("demo: cannot create {}", folder.display()))?;
     let land = Land::new(WORLD_SEED);
-    let mut pictures: Vec<PathBuf> = Vec::new();
-    for shot in FLIGHT {
+    for (number, shot) in (1..).zip(FLIGHT) {
         let picture = folder.join(shot.name).with_extension("png");
         // A picture of an earlier run must not pass for one of this.
         let _ = std::fs::remove_file(&picture);
@@ -93,11 +91,7 @@ fn fly(server: &Server, options: Options) -> Result<()> {
         if !picture.is_file() {
             bail!("demo: the viewer ended well and left no {}", picture.display());
         }
-        pictures.push(picture);
-    }
-    println!("demo: the flight is in");
-    for picture in &pictures {
-        println!("  {}", picture.display());
+        println!("demo: picture {number} of {}: {}", FLIGHT.len(), picture.display());
     }
     Ok(())
 }

@@ -63,7 +63,7 @@ impl TokenGate {
         let Some(presented) = presented else { return Err(Refusal::Missing) };
         let (now, digest) = (Instant::now(), TokenDigest::of(presented));
         if self.guesses.is_exhausted(client, digest.short(), now) {
-            self.metrics.tokens_throttled.inc();
+            self.metrics.limits.tokens_throttled.inc();
             self.log.report(client, "token guesses");
             return Err(Refusal::Throttled);
         }
@@ -75,14 +75,14 @@ impl TokenGate {
             }
             Known::Expired(name) => {
                 tracing::debug!(token = %name, "expired token");
-                self.metrics.tokens_expired.inc();
+                self.metrics.limits.tokens_expired.inc();
                 // No guess: its sender knew a valid token.
                 self.log.report(client, "expired token");
                 Err(Refusal::Expired)
             }
             Known::Unknown => {
                 self.guesses.charge(client, digest.short(), now);
-                self.metrics.tokens_wrong.inc();
+                self.metrics.limits.tokens_wrong.inc();
                 self.log.report(client, "wrong token");
                 Err(Refusal::Wrong)
             }
@@ -154,7 +154,10 @@ mod tests {
         assert_eq!(looked_at, 10, "of 2,214 guesses in no time");
         assert_eq!(gate.check(one, Some("sesame")), Err(Refusal::Throttled));
         assert_eq!(gate.check(other, Some("sesame")), Ok(()), "another address");
-        assert_eq!((gate.metrics.tokens_wrong.get(), gate.metrics.tokens_throttled.get()), (10, 2205));
+        assert_eq!(
+            (gate.metrics.limits.tokens_wrong.get(), gate.metrics.limits.tokens_throttled.get()),
+            (10, 2205)
+        );
         tokio::time::advance(std::time::Duration::from_secs(7)).await;
         assert_eq!(gate.check(one, Some("sesame")), Ok(()));
     }

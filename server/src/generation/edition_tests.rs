@@ -67,7 +67,7 @@ async fn a_changed_chunk_is_another_chunk_in_every_cache() {
         assert_eq!(service.flow().base_frame(request, Delivery::Exact).await.unwrap(), base, "{run}");
         *edition.lock().unwrap() = Edition::BASE;
         assert_eq!(service.cached(request.key, Delivery::Exact), Some(base), "{run}");
-        assert_eq!(metrics.jobs_completed.get(), made, "{run}");
+        assert_eq!(metrics.generation.jobs_completed.get(), made, "{run}");
         service.close().await;
     }
     std::fs::remove_dir_all(&folder).unwrap();
@@ -91,7 +91,7 @@ async fn a_change_while_a_chunk_is_queued_makes_a_second_job() {
     }
     heights.sort_unstable();
     assert_eq!(heights, [[0; 20], [5; 20]].concat());
-    assert_eq!(metrics.jobs_completed.get(), 40);
+    assert_eq!(metrics.generation.jobs_completed.get(), 40);
     service.close().await;
     let _ = std::fs::remove_dir_all(&folder);
 }

@@ -163,7 +163,7 @@ impl Flow {
         let mut queue = self.shared.lock();
         // Under the lock: a job leaves the queue only after its frames are in the cache.
         if let Some(frame) = frames.get(id, delivery, || self.must_be_compact || queue.jobs() == 0) {
-            metrics.frame_cache_hits.inc();
+            metrics.generation.cache_hits.inc();
             trace.chunk.record("origin", "memory");
             self.complete(chunk, Ok(frame));
             return;
@@ -179,21 +179,21 @@ impl Flow {
         let cost_us = costs.expected_us(chunk.key);
         let enqueued = queue.enqueue(request, cost_us);
         if enqueued == Enqueued::NewJob {
-            metrics.pending_jobs.set(queue.jobs() as i64);
+            metrics.generation.pending_jobs.set(queue.jobs() as i64);
             runner::start(&self.shared, &self.threads, &mut queue);
         }
         drop(queue);
         match enqueued {
             // Another encoding that it causes is charged when it is made.
             Enqueued::Coalesced => {
-                metrics.frames_coalesced.inc();
+                metrics.generation.coalesced.inc();
             }
             Enqueued::Full => {
-                metrics.frames_rejected.inc();
+                metrics.generation.rejected.inc();
                 self.complete(chunk, Err(GenerationError::Overloaded));
             }
             Enqueued::NewJob => {
-                metrics.frames_enqueued.inc();
+                metrics.generation.enqueued.inc();
                 // Charged in advance, so that jobs in flight are paid for, and refunded if the job
                 // is not run. Without the lock of the queue: the table of buckets may be swept.
                 if self.bucket.is_limited() {
@@ -295,7 +295,7 @@ impl Flow {
         let (cancelled, charge) = self.shared.lock().cancel(self.id(), self.shared.current(key));
         charge.into_iter().for_each(Charge::refund);
         self.remove_open(cancelled.len() as u32);
-        self.shared.metrics.jobs_cancelled.inc_by(cancelled.len() as u64);
+        self.shared.metrics.generation.jobs_cancelled.inc_by(cancelled.len() as u64);
         cancelled
     }
 }
@@ -320,7 +320,7 @@ impl Drop for Flow {
                 }
             };
             charges.into_iter().for_each(Charge::refund);
-            self.shared.metrics.jobs_cancelled.inc_by(dropped);
+            self.shared.metrics.generation.jobs_cancelled.inc_by(dropped);
             self.remove_open(self.open);
         }
     }
@@ -381,7 +381,7 @@ mod tests {
         assert!(kept.completions().await[0].1.is_ok());
         assert!(blocker.await.unwrap().is_ok());
         assert_eq!(fixture.generated.try_iter().collect::<Vec<_>>(), [0, 1].map(key));
-        assert_eq!(fixture.metrics.jobs_cancelled.get(), 100_000);
+        assert_eq!(fixture.metrics.generation.jobs_cancelled.get(), 100_000);
         drop(kept);
         assert_eq!(fixture.service.shared.active.len(), 0);
     }
@@ -510,7 +510,7 @@ mod tests {
         while flow.in_flight() > 0 {
             flow.completions().await;
         }
-        assert_eq!(fixture.metrics.jobs_expired.get(), 3);
+        assert_eq!(fixture.metrics.generation.jobs_expired.get(), 3);
         // The refund follows the rejection.
         while bucket.tokens() < 0.0 {
             tokio::task::yield_now().await;
@@ -558,6 +558,6 @@ mod tests {
             tokio::task::yield_now().await;
         }
         assert_eq!(second.in_flight(), 2, "no bytes are charged yet");
-        assert_eq!(fixture.metrics.frames_coalesced.get(), 2);
+        assert_eq!(fixture.metrics.generation.coalesced.get(), 2);
     }
 }

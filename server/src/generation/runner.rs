@@ -15,7 +15,6 @@ use super::views::ViewJob;
 use crate::cache::memory::CachedFrame;
 use crate::chunk_id::ChunkId;
 use crate::mechanism::Mechanism;
-use crate::scheduling;
 use crate::traces::{self, part};
 use bytes::Bytes;
 use protocol::chunk_codec::Effort;
@@ -113,7 +112,6 @@ impl Shared {
     /// Takes turns until the queue is empty.
     pub(super) fn run(&self) {
         let deadline = self.limits.deadline;
-        scheduling::waited();
         loop {
             let turn = {
                 let mut queue = self.lock();
@@ -121,11 +119,11 @@ impl Shared {
                 if !turn.has_work() {
                     queue.runners -= 1;
                 }
-                self.metrics.pending_jobs.set(queue.jobs() as i64);
+                self.metrics.generation.pending_jobs.set(queue.jobs() as i64);
                 turn
             };
-            self.metrics.jobs_cancelled.inc_by(turn.cancelled);
-            self.metrics.jobs_expired.inc_by(turn.expired.len() as u64);
+            self.metrics.generation.jobs_cancelled.inc_by(turn.cancelled);
+            self.metrics.generation.jobs_expired.inc_by(turn.expired.len() as u64);
             for request in turn.expired {
                 // The flow may have ended in the meantime; likewise below.
                 let _ = request.sender.send(vec![(request.chunk, Err(GenerationError::Overloaded))]);
@@ -150,7 +148,6 @@ impl Shared {
                     queue.end_turn(turn.path, spent_us - turn.expected_us, None);
                 });
             }
-            scheduling::yield_if_due(self.limits.without);
         }
     }
 
@@ -160,17 +157,17 @@ impl Shared {
     fn select_view(&self, path: FlowPath, mut job: Box<ViewJob>, budget_us: i64) {
         let must_stop = || self.lock().is_next_new(path.site);
         let Ok((is_done, spent)) = catch_unwind(AssertUnwindSafe(|| job.run(budget_us, must_stop))) else {
-            self.metrics.jobs_failed.inc();
+            self.metrics.generation.jobs_failed.inc();
             tracing::error!(view = ?job.selection.view(), "view selection panicked");
             self.lock().end_turn(path, budget_us, None);
             // Dropped with the job: the session learns of it.
             return;
         };
-        self.metrics.view_busy_seconds.inc_by(spent.as_secs_f64());
+        self.metrics.generation.view_busy_seconds.inc_by(spent.as_secs_f64());
         let spent_us = charged_us(spent);
         job.bucket.charge_work(spent_us, tokio::time::Instant::now());
         if is_done {
-            self.metrics.view_selection_seconds.observe(job.spent.as_secs_f64());
+            self.metrics.generation.view_seconds.observe(job.spent.as_secs_f64());
             self.lock().end_turn(path, spent_us, None);
             // The session may have ended.
             let ViewJob { completion, selection, .. } = *job;
@@ -246,7 +243,7 @@ impl Shared {
             (frame, origin, made + started.elapsed())
         }));
         let Ok((frame, origin, made)) = result else {
-            self.metrics.jobs_failed.inc();
+            self.metrics.generation.jobs_failed.inc();
             tracing::error!(chunk = %id, %delivery, "generation panicked");
             let result = Err(GenerationError::Failed);
             return GeneratedFrame { delivery, is_fast_encoded: false, result };
@@ -258,15 +255,15 @@ impl Shared {
             self.costs.record(id.key, started.elapsed());
         }
         if is_first && origin == Origin::Made {
-            self.metrics.generation_seconds.observe(made.as_secs_f64());
-            self.metrics.jobs_completed.inc();
+            self.metrics.generation.seconds.observe(made.as_secs_f64());
+            self.metrics.generation.jobs_completed.inc();
         }
         // The seed-only delivery has one encoding.
         let is_fast_encoded = effort == Effort::Fast && delivery != Delivery::SeedOnly && !is_stored;
         if is_fast_encoded {
-            self.metrics.frames_encoded_fast.inc();
+            self.metrics.generation.encoded_fast.inc();
         } else if !is_stored {
-            self.metrics.frames_encoded_compact.inc();
+            self.metrics.generation.encoded_compact.inc();
         }
         self.frames.insert(id, delivery, CachedFrame { frame: frame.clone(), is_fast_encoded });
         if let Some(disk) = self.disk.as_ref().filter(|_| origin != Origin::Disk) {
@@ -364,7 +361,7 @@ impl Shared {
                     completions.push((request.chunk, result));
                 }
             }
-            self.metrics.pending_jobs.set(queue.jobs() as i64);
+            self.metrics.generation.pending_jobs.set(queue.jobs() as i64);
         }
         for (sender, completions) in flows.into_values() {
             let _ = sender.send(completions);

@@ -195,7 +195,7 @@ mod tests {
         for other in others {
             assert_eq!(other.await.unwrap().unwrap().len(), flat_frame_bytes());
         }
-        assert_eq!(fixture.metrics.jobs_completed.get(), 1);
+        assert_eq!(fixture.metrics.generation.jobs_completed.get(), 1);
         assert!(fixture.service.cached(key(1), Delivery::Exact).is_some());
     }
 
@@ -211,15 +211,15 @@ mod tests {
             fixture.service.flow().frame(chunk_request(key(2), 99), Delivery::Exact).await,
             Err(GenerationError::Overloaded)
         );
-        assert_eq!(fixture.metrics.frames_rejected.get(), 1);
+        assert_eq!(fixture.metrics.generation.rejected.get(), 1);
         abandoned.abort();
         let _ = abandoned.await;
         fixture.permit.send(()).unwrap();
         running.await.unwrap().unwrap();
-        while fixture.metrics.jobs_cancelled.get() == 0 {
+        while fixture.metrics.generation.jobs_cancelled.get() == 0 {
             tokio::time::sleep(Duration::from_millis(1)).await;
         }
-        assert_eq!(fixture.metrics.jobs_completed.get(), 1);
+        assert_eq!(fixture.metrics.generation.jobs_completed.get(), 1);
         assert!(fixture.service.load() < 0.01);
     }
 

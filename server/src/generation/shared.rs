@@ -72,7 +72,7 @@ impl Shared {
     pub fn cached(&self, id: ChunkId, delivery: Delivery, must_be_compact: bool) -> Option<Bytes> {
         let is_idle = || must_be_compact || self.lock().jobs() == 0;
         let frame = self.frames.get(id, delivery, is_idle)?;
-        self.metrics.frame_cache_hits.inc();
+        self.metrics.generation.cache_hits.inc();
         Some(frame)
     }
 }

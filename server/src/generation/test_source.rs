@@ -116,10 +116,10 @@ pub async fn request_delivery(
     priority: u64,
 ) -> tokio::task::JoinHandle<FrameResult> {
     let (metrics, service) = (Arc::clone(&service.shared.metrics), service.clone());
-    let before = metrics.frame_requests();
+    let before = metrics.generation.frame_requests();
     let task =
         tokio::spawn(async move { service.flow().frame(chunk_request(key, priority), delivery).await });
-    while metrics.frame_requests() == before {
+    while metrics.generation.frame_requests() == before {
         tokio::task::yield_now().await;
     }
     task

@@ -23,9 +23,7 @@ pub mod world;
 
 use crate::access::hosts::{MalformedHost, Target};
 use crate::limits::per_ip::IpPermit;
-use crate::metrics::StatusLabel;
 use crate::proxy::ClientAddress;
-use crate::scheduling;
 use crate::state::ServerState;
 use axum::Router;
 use axum::extract::{Request, State};
@@ -64,7 +62,7 @@ fn same_origin(methods: MethodRouter<Arc<ServerState>>) -> MethodRouter<Arc<Serv
 
 /// The router of a server.
 pub fn router(state: Arc<ServerState>) -> Router {
-    state.metrics.declare_http_rejections(ProblemKind::ALL.map(ProblemKind::name));
+    state.metrics.limits.declare_http_rejections(ProblemKind::ALL.map(ProblemKind::name));
     let mut router = Router::new();
     for (path, methods) in routes() {
         router = router.route(path, methods);
@@ -129,10 +127,8 @@ impl<'a> RequestPlace<'a> {
     }
 }
 
-/// Counts all responses, and rejected requests by kind. Between two requests a busy thread lets
-/// others run.
+/// Counts all responses, and rejected requests by kind.
 async fn count(State(state): State<Arc<ServerState>>, request: Request, next: Next) -> Response {
-    scheduling::yield_if_due(state.config.without);
     // A connection answers up to 16 requests that arrived together before it lets others run.
     tokio::task::yield_now().await;
     let client = request.extensions().get::<ClientAddress>().map(|client| client.0);
@@ -140,10 +136,9 @@ async fn count(State(state): State<Arc<ServerState>>, request: Request, next: Ne
         Ok(_place) => next.run(request).await,
         Err(problem) => problem.into_response(),
     };
-    let status = response.status().as_u16();
-    state.metrics.http_responses.get_or_create(&StatusLabel { status }).inc();
+    state.metrics.http.responded(response.status().as_u16());
     if let Some(kind) = response.extensions().get::<ProblemKind>() {
-        state.metrics.http_request_rejected(kind.name());
+        state.metrics.limits.http_request_rejected(kind.name());
     }
     // Browsers must not guess another content type.
     response.headers_mut().insert(header::X_CONTENT_TYPE_OPTIONS, HeaderValue::from_static("nosniff"));

@@ -159,10 +159,10 @@ impl TokenBucket {
             // others wait again.
             let Some(delay) = self.delay(now) else { return true };
             if now + delay > by {
-                metrics.rate_limit_rejections.inc();
+                metrics.limits.rate_limit_rejections.inc();
                 return false;
             }
-            metrics.rate_limit_delays.inc();
+            metrics.limits.rate_limit_delays.inc();
             sleep(delay).await;
         }
     }

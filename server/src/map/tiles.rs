@@ -116,7 +116,7 @@ impl Map {
         let tile = self.cached_or_rendered(key, client, generation, bucket).await;
         match &tile {
             Ok(tile) => bucket.charge_bytes(tile.png.len(), Instant::now()),
-            Err(_) => drop(self.metrics.tiles_failed.inc()),
+            Err(_) => drop(self.metrics.http.tiles_failed.inc()),
         }
         tile
     }
@@ -129,7 +129,7 @@ impl Map {
         bucket: &TokenBucket,
     ) -> Result<Tile, MapError> {
         if let Some(tile) = self.cache.get(&key) {
-            self.metrics.tile_cache_hits.inc();
+            self.metrics.http.tile_cache_hits.inc();
             return Ok(tile);
         }
         let queue = || {
@@ -150,7 +150,7 @@ impl Map {
             };
             // Another request may have rendered this tile meanwhile.
             if let Some(tile) = self.cache.get(&key) {
-                self.metrics.tile_cache_hits.inc();
+                self.metrics.http.tile_cache_hits.inc();
                 return Ok(tile);
             }
             if fetch_frames(&sources, &mut frames, client, generation, bucket).await? {
@@ -177,7 +177,7 @@ impl Map {
         })
         .await;
         let Ok(Some(tile)) = rendered else { return Err(GenerationError::Failed.into()) };
-        self.metrics.tiles_rendered.inc();
+        self.metrics.http.tiles_rendered.inc();
         self.cache.insert(key, tile.clone());
         Ok(tile)
     }
@@ -278,7 +278,7 @@ mod tests {
         let bucket = bucket(1);
         let (before, start) = (bucket.tokens(), Instant::now());
         map().tile(key(4, 0, -1), None, &generation, &bucket).await.unwrap();
-        assert_eq!(metrics.tiles_rendered.get(), 2);
+        assert_eq!(metrics.http.tiles_rendered.get(), 2);
         assert!(bucket.tokens() < before);
         // The full bucket pays for 10,000 chunks of the least cost, that of no chunk.
         assert_eq!(bucket.affordable_chunks(Duration::ZERO, start + Duration::from_secs(3600)), 10_000);
@@ -294,22 +294,25 @@ mod tests {
         limited.charge_work(50_000, Instant::now());
         let over = map.tile(key(4, 0, -1), None, &generation, &limited).await;
         assert_eq!(over.err(), Some(MapError::OverRate), "the deadline is 30 s");
-        assert_eq!((metrics.jobs_completed.get(), metrics.rate_limit_rejections.get()), (0, 1));
+        assert_eq!(
+            (metrics.generation.jobs_completed.get(), metrics.limits.rate_limit_rejections.get()),
+            (0, 1)
+        );
 
         // A full bucket pays for some ten of the 36 chunks.
         let tile = {
             let (map, generation, full) = (Arc::clone(&map), generation.clone(), bucket(1));
             tokio::spawn(async move { map.tile(key(4, 0, -1), None, &generation, &full).await.map(drop) })
         };
-        while metrics.rate_limit_delays.get() == 0 {
+        while metrics.limits.rate_limit_delays.get() == 0 {
             tokio::task::yield_now().await;
         }
-        let made = metrics.jobs_completed.get();
+        let made = metrics.generation.jobs_completed.get();
         assert!((1..36).contains(&made), "{made}");
         assert_eq!(map.turns.free(), 1);
         // The control: the same tile for another client, which takes up the chunks that are made.
         assert!(map.tile(key(4, 0, -1), None, &generation, &TokenBucket::default()).await.is_ok());
-        assert_eq!((metrics.jobs_completed.get(), metrics.tiles_rendered.get()), (36, 1));
+        assert_eq!((metrics.generation.jobs_completed.get(), metrics.http.tiles_rendered.get()), (36, 1));
         tile.abort();
     }
 
@@ -329,11 +332,11 @@ mod tests {
         tokio::task::yield_now().await;
         begin([10, 0, 0, 2], -1).await.unwrap().unwrap();
         // One is being rendered, one is in line before it, one may follow before it is counted.
-        assert!(metrics.tiles_rendered.get() <= 4, "{}", metrics.tiles_rendered.get());
+        assert!(metrics.http.tiles_rendered.get() <= 4, "{}", metrics.http.tiles_rendered.get());
         for tile in many {
             tile.await.unwrap().unwrap();
         }
-        assert_eq!(metrics.tiles_rendered.get(), 41);
+        assert_eq!(metrics.http.tiles_rendered.get(), 41);
     }
 
     fn key(level: u8, x: i32, z: i32) -> ChunkKey {
@@ -347,15 +350,15 @@ mod tests {
         let (land, generation) = service(&metrics, JOB_WINDOW);
         let map = Map::new(land.digest(), 1 << 20, 1, Arc::clone(&metrics));
         let tile = map.tile(key(4, 0, -1), None, &generation, &TokenBucket::default()).await.unwrap();
-        assert_eq!(metrics.jobs_completed.get(), 36);
+        assert_eq!(metrics.generation.jobs_completed.get(), 36);
         assert_eq!(
             map.tile(key(4, 0, -1), None, &generation, &TokenBucket::default()).await.unwrap().digest,
             tile.digest
         );
-        assert_eq!((metrics.tiles_rendered.get(), metrics.tile_cache_hits.get()), (1, 1));
+        assert_eq!((metrics.http.tiles_rendered.get(), metrics.http.tile_cache_hits.get()), (1, 1));
         // Its neighbour to the east shares two columns of six chunks with it.
         map.tile(key(4, 1, -1), None, &generation, &TokenBucket::default()).await.unwrap();
-        assert_eq!(metrics.jobs_completed.get(), 36 + 24);
+        assert_eq!(metrics.generation.jobs_completed.get(), 36 + 24);
         // The control: with a smaller queue than the window it is rejected.
         let (_, small) = service(&metrics, 2);
         let rejected = map.tile(key(4, 5, 5), None, &small, &TokenBucket::default()).await;
@@ -405,15 +408,17 @@ mod tests {
                 })
             })
             .collect();
-        while metrics.jobs_completed.get() < 10 || map.queue_permits.available_permits() > MAX_WAITING - 60 {
+        while metrics.generation.jobs_completed.get() < 10
+            || map.queue_permits.available_permits() > MAX_WAITING - 60
+        {
             tokio::task::yield_now().await;
         }
         let mut waits = Vec::new();
         for z in 0..30 {
-            let before = metrics.jobs_completed.get();
+            let before = metrics.generation.jobs_completed.get();
             let chunk = ChunkRequest { key: key(0, 20, z), request: None, priority: 0 };
             generation.flow().frame(chunk, Delivery::Exact).await.unwrap();
-            waits.push(metrics.jobs_completed.get() - before);
+            waits.push(metrics.generation.jobs_completed.get() - before);
         }
         waits.sort_unstable();
         // Its own chunk, the window of the map, and one window queued behind it. In nine of ten

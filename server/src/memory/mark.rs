@@ -4,7 +4,7 @@
 //!
 //! The memory that many sessions hold together may still grow. If the memory stays beyond the mark,
 //! sessions end, few at a time; close to the limit, many: otherwise the system would end the
-//! process, and with it every session. Those of the client networks that have the most end first.
+//! process, and with it every session. Those of the sites that have the most end first.
 
 use super::limit::{MemoryLimit, OpenFiles};
 use crate::limits::networks::client_site;
@@ -52,7 +52,7 @@ pub struct MemoryMark {
 #[derive(Debug)]
 struct Room {
     left: u64,
-    /// Those that began, by client network. At most one entry for each.
+    /// Those that began, by site. At most one entry for each.
     taken: HashMap<IpAddr, u64>,
 }
 
@@ -80,7 +80,7 @@ impl MemoryMark {
         self.is_exceeded.load(Ordering::Relaxed)
     }
 
-    /// Takes the room of a session that begins; false if there is none. A client network gets no
+    /// Takes the room of a session that begins; false if there is none. A site gets no
     /// more than remains for others, as with [`crate::limits::per_ip::PerIpLimiter::fair_share`].
     #[must_use]
     pub fn admits(&self, client: Option<IpAddr>) -> bool {
@@ -148,7 +148,7 @@ impl Pace {
 /// Looks at the memory in use until it is dropped. Ends at once without a limit.
 pub async fn watch(mark: Arc<MemoryMark>, metrics: Arc<Metrics>, sessions: OpenSessions) {
     let Some(limit) = &mark.limit else { return };
-    metrics.memory_limit_bytes.set(i64::try_from(limit.bytes()).unwrap_or(i64::MAX));
+    metrics.limits.memory_limit_bytes.set(i64::try_from(limit.bytes()).unwrap_or(i64::MAX));
     let mut ticks = tokio::time::interval(INTERVAL);
     ticks.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
     let mut pace = Pace { last: Instant::now(), used: 0 };
@@ -164,7 +164,7 @@ pub async fn watch(mark: Arc<MemoryMark>, metrics: Arc<Metrics>, sessions: OpenS
             continue;
         };
         is_unknown = false;
-        metrics.memory_used_bytes.set(i64::try_from(used).unwrap_or(i64::MAX));
+        metrics.limits.memory_used_bytes.set(i64::try_from(used).unwrap_or(i64::MAX));
         let now = Instant::now();
         if mark.record(used, limit.bytes()) {
             let (used_mib, is_reached) = (used >> 20, mark.is_reached());
@@ -226,7 +226,7 @@ mod tests {
     }
 
     #[test]
-    fn one_network_gets_no_more_room_than_remains_for_others() {
+    fn one_site_gets_no_more_room_than_remains_for_others() {
         let mark = MemoryMark::new(Some(MemoryLimit::of_machine(800 << 20)));
         let admitted = |last: u8| (0..100).filter(|_| mark.admits(Some([10, 0, 0, last].into()))).count();
         for _ in 0..2 {

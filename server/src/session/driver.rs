@@ -7,9 +7,7 @@
 use crate::generation::{Completion, Flow, FlowEvent, GenerationError};
 use crate::limits::rate_limit::TokenBucket;
 use crate::mechanism::Mechanism;
-use crate::metrics::{DeliveryLabel, ReasonLabel};
 use crate::open_sessions::{Ending, OpenSession};
-use crate::scheduling;
 use crate::session::chunk_traces::ChunkTraces;
 use crate::session::end::{EndReason, SessionEnd, write_within};
 use crate::session::keepalive::{Keepalive, KeepaliveAction};
@@ -31,6 +29,7 @@ use std::sync::atomic::Ordering;
 use std::time::Duration;
 use terrain::ChunkKey;
 use tokio::io::{AsyncRead, AsyncWrite};
+use tokio::task::yield_now;
 use tokio::time::{Instant, timeout};
 
 /// Chunks of one session in generation at once. A larger window would order chunks by an outdated
@@ -88,7 +87,7 @@ pub async fn serve<S>(
 where
     S: AsyncRead + AsyncWrite + Unpin,
 {
-    state.metrics.sessions.inc();
+    state.metrics.sessions.open.inc();
     let number = stats.number();
     tracing::debug!(session = number, "session opened");
     // Boxed, and a block: an idle session must not have room for what comes after it.
@@ -125,8 +124,8 @@ where
             _ = stats.ends() => end.reason = EndReason::MemoryShed,
         }
     }
-    state.metrics.sessions_ended.get_or_create(&ReasonLabel { reason: end.reason.name() }).inc();
-    state.metrics.sessions.dec();
+    state.metrics.sessions.ended(end.reason.name());
+    state.metrics.sessions.open.dec();
     let Remaining { socket, end, owes_until, .. } = *rest;
     Ended { reason: end.reason, stream: socket.into_stream(), owes_until }
 }
@@ -210,7 +209,6 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
             return end;
         }
         loop {
-            scheduling::yield_if_due(self.state.config.without);
             let more = self.request_chunks();
             if let Err(end) = self.flush().await {
                 return end;
@@ -225,7 +223,7 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
                         return end;
                     }
                     let begins = self.backoff.pause(Instant::now());
-                    self.state.metrics.refusal_backoffs.inc_by(u64::from(begins));
+                    self.state.metrics.limits.refusal_backoffs.inc_by(u64::from(begins));
                 }
                 () = sleep_until(self.message_deadline.by()), if pause.is_none() => {
                     if let Err(end) = self.finish_message().await {
@@ -248,7 +246,7 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
                 ending = self.stats.ends() => return ended_by_server(ending),
                 // A client that reads cached chunks at full speed must not starve others; between
                 // two batches it is read, and a shutdown ends it.
-                () = let_others_run(self.state.config.without), if more => {}
+                () = yield_now(), if more => {}
                 () = tokio::time::sleep_until(handshake_by), if !self.session.is_welcomed() => {
                     return SessionEnd::with_code(EndReason::HandshakeTimeout, CloseCode::HandshakeTimeout);
                 }
@@ -256,7 +254,7 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
                 // One timer: each takes memory of an idle session.
                 () = sleep_until(self.delay.map(|(until, _)| until)), if self.delay.is_some() => {
                     let is_by_rate = self.delay.is_some_and(|(_, delay)| delay == Delay::RateLimit);
-                    self.state.metrics.rate_limit_delays.inc_by(u64::from(is_by_rate));
+                    self.state.metrics.limits.rate_limit_delays.inc_by(u64::from(is_by_rate));
                 }
                 () = &mut check => {
                     // Received bytes count: a long write may have kept this session from reading.
@@ -380,7 +378,7 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
         while let Some(is_data) = self.receive_message().await? {
             // Behind a control frame that is not between fragments another message begins.
             has_ended |= is_data || !self.socket.is_fragmented();
-            let_others_run(self.state.config.without).await;
+            yield_now().await;
         }
         let by = Instant::now() + self.state.config.message_timeout;
         self.message_deadline.record(has_ended, self.socket.is_in_message(), by);
@@ -395,7 +393,7 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
             let affordable = self.flow.bucket().affordable_chunks(deadline, Instant::now());
             self.session.shed(affordable.max(admitted));
             let rejected = waiting - self.session.waiting_requests();
-            self.state.metrics.rate_limit_rejections.inc_by(rejected as u64);
+            self.state.metrics.limits.rate_limit_rejections.inc_by(rejected as u64);
         }
         // Views may be superseded without anything to write.
         if self.session.counts() != self.counted {
@@ -517,11 +515,11 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
         };
         self.batch = 0;
         self.traces.flushed(result.is_ok());
-        self.state.metrics.sent_bytes.inc_by(bytes);
+        self.state.metrics.sessions.sent_bytes.inc_by(bytes);
         if result.is_ok() {
             let now = Instant::now();
             for (since, count) in self.unwritten.drain(..) {
-                self.state.metrics.latency.observe(now - since, count);
+                self.state.metrics.sessions.latency.observe(now - since, count);
             }
         }
         self.update_metrics();
@@ -540,11 +538,9 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
     /// Adds the session's new counts to the server's metrics.
     fn update_metrics(&mut self) {
         let (now, before, metrics) = (self.session.counts(), self.counted, &self.state.metrics);
-        metrics.chunks_sent.inc_by(now.chunks - before.chunks);
         if now.chunks > before.chunks {
-            let label = DeliveryLabel { delivery: self.session.delivery().name() };
-            metrics.chunks_sent_by_delivery.get_or_create(&label).inc_by(now.chunks - before.chunks);
-            metrics.chunk_sent_bytes.get_or_create(&label).inc_by(now.chunk_bytes - before.chunk_bytes);
+            let (chunks, bytes) = (now.chunks - before.chunks, now.chunk_bytes - before.chunk_bytes);
+            metrics.sessions.count_chunks(self.session.delivery(), chunks, bytes);
         }
         let superseded = now.superseded_views - before.superseded_views;
         let rejections = Rejections::since(&before, &now);
@@ -556,24 +552,17 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
             let sharers = sharers.max(self.flow.bucket().thread_shares());
             let backs_off = self.state.config.without != Some(Mechanism::RefusalBackoff);
             let begins = backs_off && self.backoff.record(rejections, sharers, Instant::now());
-            metrics.refusal_backoffs.inc_by(u64::from(begins));
+            metrics.limits.refusal_backoffs.inc_by(u64::from(begins));
             for reason in RefusalReason::ALL {
                 let count = now.refusals[reason.index()] - before.refusals[reason.index()];
-                metrics.request_rejected(reason, count);
+                metrics.limits.request_rejected(reason, count);
             }
         }
-        metrics.views_selected.inc_by(now.views - before.views);
-        metrics.views_superseded.inc_by(superseded);
+        metrics.generation.views_selected.inc_by(now.views - before.views);
+        metrics.generation.views_superseded.inc_by(superseded);
         self.stats.set_sent(now.chunks, now.chunk_bytes);
         self.counted = now;
     }
-}
-
-/// Between two messages or batches of a peer: other tasks of this thread run, and other threads if
-/// it is time.
-async fn let_others_run(without: Option<Mechanism>) {
-    scheduling::yield_if_due(without);
-    tokio::task::yield_now().await;
 }
 
 /// Waits until a moment; forever if there is none.

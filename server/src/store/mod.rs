@@ -157,7 +157,7 @@ impl Store {
             .enable_all()
             .build()?;
         let writer = Writer::start(runtime.handle(), Arc::clone(&objects), Arc::clone(&metrics));
-        metrics.store_up.set(1);
+        metrics.store.up.set(1);
         let inner = Arc::new(Inner {
             objects,
             names: ObjectNames::new(root, world),
@@ -194,7 +194,7 @@ impl Store {
         let admitted =
             permit.and_then(|permit| Some((inner.pace.wait(key, is_stored, Instant::now())?, permit)));
         let Some((wait, permit)) = admitted else {
-            inner.metrics.store_reads_skipped.inc();
+            inner.metrics.store.reads_skipped.inc();
             return None;
         };
         // For one answer; after the timeout it is dropped.
@@ -213,16 +213,17 @@ impl Store {
         let found = match answer {
             Ok(Fetched::Object(frame)) => inner.checked(key, tile, frame),
             Ok(Fetched::Missing) => {
-                inner.metrics.store_misses.inc();
+                inner.metrics.store.misses.inc();
+                inner.pace.missing();
                 None
             }
             Ok(Fetched::Failed) | Err(RecvTimeoutError::Disconnected) => {
-                inner.metrics.store_reads_failed.inc();
+                inner.metrics.store.reads_failed.inc();
                 None
             }
             Err(RecvTimeoutError::Timeout) => {
                 inner.pace.late(wait, Instant::now());
-                inner.metrics.store_reads_late.inc();
+                inner.metrics.store.reads_late.inc();
                 None
             }
         };
@@ -251,7 +252,7 @@ impl Store {
         if self.inner.pace.is_worth_writing(id.key) {
             self.writer.write(self.inner.names.chunk(id), frame);
         } else {
-            self.inner.metrics.store_writes_skipped.inc();
+            self.inner.metrics.store.writes_skipped.inc();
         }
     }
 
@@ -305,7 +306,7 @@ impl Inner {
     fn checked(&self, key: ChunkKey, tile: Option<PackTile>, frame: Bytes) -> Option<(Chunk, Bytes)> {
         let chunk = chunk_codec::decode(&frame, &self.world).ok().filter(|chunk| chunk.key == key);
         let Some(chunk) = chunk else {
-            self.metrics.store_reads_invalid.inc();
+            self.metrics.store.reads_invalid.inc();
             tile.inspect(|tile| self.is_broken(*tile));
             tracing::debug!(%key, "an object of the store is damaged or foreign; the chunk is made");
             if self.pace.invalid(Instant::now()) {
@@ -316,7 +317,7 @@ impl Inner {
             }
             return None;
         };
-        self.metrics.store_hits.inc();
+        self.metrics.store.hits.inc();
         Some((chunk, frame))
     }
 
@@ -331,12 +332,12 @@ impl Inner {
         let started = Instant::now();
         let read = timeout(self.read_timeout, self.get(id, tile)).await;
         let took = started.elapsed();
-        self.metrics.store_read_seconds.observe(took.as_secs_f64());
+        self.metrics.store.read_seconds.observe(took.as_secs_f64());
         let why = match read {
             Ok(Ok(found)) => {
                 if self.pace.answered(took) {
                     tracing::info!("the store answers again");
-                    self.metrics.store_up.set(1);
+                    self.metrics.store.up.set(1);
                 }
                 return found.map_or(Fetched::Missing, Fetched::Object);
             }
@@ -346,7 +347,7 @@ impl Inner {
         tracing::debug!(why, "a read from the store failed");
         if self.pace.failed(Instant::now()) {
             tracing::warn!(why, "the store fails; chunks are made, and one read in 5 s tries it again");
-            self.metrics.store_up.set(0);
+            self.metrics.store.up.set(0);
         }
         Fetched::Failed
     }
@@ -391,7 +392,7 @@ impl Inner {
         // A cut pack would fail range by range, as if the store did.
         let index = pack::index(tile, &header.bytes().await?).ok().filter(|index| index.end() == length);
         let Some(index) = index else {
-            self.metrics.store_reads_invalid.inc();
+            self.metrics.store.reads_invalid.inc();
             return Ok(None);
         };
         let index = Arc::new(index);

@@ -4,7 +4,7 @@
 //! Everything that holds reads back shares one clock for tries: every 5 s one read is sent all the
 //! same, and one answer is enough to begin again.
 
-use std::sync::atomic::{AtomicI64, AtomicU32, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU32, AtomicU64, Ordering};
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 use terrain::ChunkKey;
@@ -54,8 +54,10 @@ pub struct Pace {
     in_time: AtomicU32,
     /// Failures in a row.
     failures: AtomicU32,
-    /// Invalid objects since the last valid one, at most [`FAILURES`].
+    /// Invalid objects since the last valid one, at most [`FAILURES`]: then the store is damaged.
     invalid: AtomicU32,
+    /// Whether its damage was reported, and no valid object since.
+    is_damage_reported: AtomicBool,
     /// Nanoseconds that reads without a result may still take, at most [`MAX_LOSS`].
     budget: AtomicI64,
     tried: Mutex<Option<Instant>>,
@@ -73,6 +75,7 @@ impl Pace {
             in_time: AtomicU32::new(0),
             failures: AtomicU32::new(0),
             invalid: AtomicU32::new(0),
+            is_damage_reported: AtomicBool::new(false),
             budget: AtomicI64::new(MAX_LOSS),
             tried: Mutex::new(None),
         }
@@ -120,22 +123,30 @@ impl Pace {
     }
 
     /// A read brought a chunk. It saved about what the chunk takes to make, which counts as if it
-    /// had been made. Whether the store was damaged before.
+    /// had been made. Whether that ends a damage that was reported.
     pub fn useful(&self, key: ChunkKey) -> bool {
         self.earn(key);
-        self.invalid.swap(0, Ordering::Relaxed) == FAILURES
+        self.invalid.store(0, Ordering::Relaxed);
+        self.is_damage_reported.swap(false, Ordering::Relaxed)
     }
 
-    /// A read brought an object that is no chunk. Whether the store counts as damaged since then:
-    /// each wait for such an object delays its chunk, by far more than making it takes where the
-    /// least wait is long.
+    /// A read brought an object that is no chunk. Whether the store counts as damaged since then,
+    /// once until a valid object: each wait for such an object delays its chunk, by far more than
+    /// making it takes where the least wait is long.
     pub fn invalid(&self, now: Instant) -> bool {
         let before = self.invalid.load(Ordering::Relaxed);
         self.invalid.store(FAILURES.min(before + 1), Ordering::Relaxed);
-        if before + 1 >= FAILURES {
+        let is_damaged = before + 1 >= FAILURES;
+        if is_damaged {
             self.hold_back(now);
         }
-        before + 1 == FAILURES
+        is_damaged && !self.is_damage_reported.swap(true, Ordering::Relaxed)
+    }
+
+    /// The store does not have a chunk. If it was damaged, it may have been emptied: reads go on
+    /// until the next invalid object.
+    pub fn missing(&self) {
+        self.invalid.fetch_min(FAILURES - 1, Ordering::Relaxed);
     }
 
     /// A read was answered while its thread waited, with a chunk or without.
@@ -299,6 +310,32 @@ mod tests {
         assert!(pace.useful(key), "reported once");
         assert!(!pace.useful(key));
         assert!(pace.wait(key, true, now + 2 * RETRY).is_some());
+    }
+
+    /// An operator empties a damaged store: one try finds that, and all reads follow. The control
+    /// is a store with as many damaged objects as missing ones: two reads in 5 s.
+    #[test]
+    fn reads_of_an_emptied_store_go_on() {
+        let key = ChunkKey::new(3, 0, 0).unwrap();
+        for (missing_in, reads_in_5_s) in [(1, 5000), (2, 2)] {
+            let (pace, start) = (Pace::new(MS(100)), Instant::now());
+            let warnings = (0..FAILURES).filter(|_| pace.invalid(start)).count();
+            let (mut reads, mut later_warnings) = (0_u32, 0);
+            for ms in 0..10_000 {
+                let now = start + MS(ms);
+                if pace.wait(key, true, now).is_none() {
+                    continue;
+                }
+                reads += 1;
+                if reads % missing_in == 0 {
+                    pace.missing();
+                } else {
+                    later_warnings += u32::from(pace.invalid(now));
+                }
+            }
+            assert_eq!((warnings, later_warnings), (1, 0));
+            assert!(reads <= reads_in_5_s && reads + 1 >= reads_in_5_s, "{missing_in}: {reads}");
+        }
     }
 
     /// The control: one damaged object of four holds no read back.

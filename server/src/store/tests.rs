@@ -227,18 +227,18 @@ async fn what_one_replica_makes_another_reads() {
     let objects = Arc::new(InMemory::new());
     let first = replica(&objects, Fault::None);
     serves(&first, &keys(), EXACT).await;
-    assert_eq!((first.metrics.jobs_completed.get(), first.metrics.store_writes.get()), (8, 8));
+    assert_eq!((first.metrics.generation.jobs_completed.get(), first.metrics.store.writes.get()), (8, 8));
     let second = replica(&objects, Fault::None);
     serves(&second, &keys(), EXACT).await;
-    assert_eq!((second.metrics.jobs_completed.get(), second.metrics.store_hits.get()), (0, 8));
+    assert_eq!((second.metrics.generation.jobs_completed.get(), second.metrics.store.hits.get()), (0, 8));
     // Another delivery is encoded from the chunk of the store.
     let third = replica(&objects, Fault::None);
     serves(&third, &keys(), &[Delivery::SeedOnly]).await;
-    assert_eq!((third.metrics.jobs_completed.get(), third.metrics.store_hits.get()), (0, 8));
+    assert_eq!((third.metrics.generation.jobs_completed.get(), third.metrics.store.hits.get()), (0, 8));
     // Fine levels are cheaper to make than to read.
     let fine = ChunkKey::new(0, 1, 1).unwrap();
     serves(&second, &[fine], EXACT).await;
-    assert_eq!((second.metrics.jobs_completed.get(), second.metrics.store_writes.get()), (1, 0));
+    assert_eq!((second.metrics.generation.jobs_completed.get(), second.metrics.store.writes.get()), (1, 0));
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -251,19 +251,19 @@ async fn no_fault_of_a_store_changes_a_chunk() {
         let replica = replica(&objects, fault);
         serves(&replica, &keys(), EXACT).await;
         let metrics = &replica.metrics;
-        let made = metrics.jobs_completed.get();
+        let made = metrics.generation.jobs_completed.get();
         let [invalid, late, failed, skipped, refused] = [
-            &metrics.store_reads_invalid,
-            &metrics.store_reads_late,
-            &metrics.store_reads_failed,
-            &metrics.store_reads_skipped,
-            &metrics.store_writes_refused,
+            &metrics.store.reads_invalid,
+            &metrics.store.reads_late,
+            &metrics.store.reads_failed,
+            &metrics.store.reads_skipped,
+            &metrics.store.writes_refused,
         ]
         .map(Counter::get);
         match fault {
             Fault::Slow => assert!(late == 1 && skipped == 7 && made == 8, "{late} late, {skipped} skipped"),
             Fault::Gone => assert!(failed <= 5 && failed + skipped == 8 && made == 8, "{failed} failed"),
-            Fault::ReadOnly => assert_eq!((metrics.store_hits.get(), made, refused), (8, 0, 0)),
+            Fault::ReadOnly => assert_eq!((metrics.store.hits.get(), made, refused), (8, 0, 0)),
             // Reads of both threads may be under way when the fifth is invalid.
             _ => {
                 assert!((5..=6).contains(&invalid), "{fault:?}: {invalid} invalid");
@@ -287,8 +287,8 @@ async fn chunks_whose_error_is_remembered_are_written_and_not_read() {
         };
         serves(&replica, &keys(), EXACT).await;
         let metrics = &replica.metrics;
-        assert_eq!((metrics.store_hits.get(), metrics.store_misses.get()), (hits, 0));
-        assert_eq!((metrics.jobs_completed.get(), metrics.store_writes.get()), (made, made));
+        assert_eq!((metrics.store.hits.get(), metrics.store.misses.get()), (hits, 0));
+        assert_eq!((metrics.generation.jobs_completed.get(), metrics.store.writes.get()), (made, made));
     }
 }
 
@@ -319,7 +319,7 @@ async fn chunks_that_would_not_be_read_are_not_written() {
     let replica = replica(&objects, Fault::Slow);
     serves(&replica, &keys(), EXACT).await;
     let metrics = &replica.metrics;
-    assert_eq!((metrics.store_writes_skipped.get(), metrics.store_reads_late.get()), (8, 1));
+    assert_eq!((metrics.store.writes_skipped.get(), metrics.store.reads_late.get()), (8, 1));
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -328,14 +328,14 @@ async fn a_store_that_refuses_writes_is_read() {
     let replica = replica(&objects, Fault::ReadOnly);
     serves(&replica, &keys(), EXACT).await;
     let [refused, dropped, written] = [
-        &replica.metrics.store_writes_refused,
-        &replica.metrics.store_writes_dropped,
-        &replica.metrics.store_writes,
+        &replica.metrics.store.writes_refused,
+        &replica.metrics.store.writes_dropped,
+        &replica.metrics.store.writes,
     ]
     .map(Counter::get);
     // Those in flight at the first refusal are refused, too; the others wait for a minute.
     assert!(refused >= 1 && refused + dropped == 8 && written == 0, "{refused} refused, {dropped} dropped");
-    assert_eq!(replica.metrics.store_up.get(), 1);
+    assert_eq!(replica.metrics.store.up.get(), 1);
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -345,9 +345,9 @@ async fn a_store_that_may_not_be_listed_is_read_and_written() {
         let replica = replica(&objects, Fault::Unlisted);
         serves(&replica, &keys(), EXACT).await;
         let metrics = &replica.metrics;
-        assert_eq!((metrics.store_hits.get(), metrics.store_misses.get()), (hits, misses));
-        assert_eq!((metrics.store_writes.get(), metrics.store_reads_failed.get()), (misses, 0));
-        assert_eq!(metrics.store_up.get(), 1);
+        assert_eq!((metrics.store.hits.get(), metrics.store.misses.get()), (hits, misses));
+        assert_eq!((metrics.store.writes.get(), metrics.store.reads_failed.get()), (misses, 0));
+        assert_eq!(metrics.store.up.get(), 1);
     }
 }
 
@@ -381,11 +381,11 @@ async fn a_full_store_is_read() {
     let others: Vec<_> = (0..12).map(|n| ChunkKey::new(2, 20 + n, 5).unwrap()).collect();
     serves(&replica, &others, EXACT).await;
     let metrics = &replica.metrics;
-    let (failed, dropped) = (metrics.store_writes_failed.get(), metrics.store_writes_dropped.get());
+    let (failed, dropped) = (metrics.store.writes_failed.get(), metrics.store.writes_dropped.get());
     assert!(failed >= 5 && failed + dropped == 12, "{failed} failed, {dropped} dropped");
     serves(&replica, &keys(), EXACT).await;
-    assert_eq!((metrics.store_hits.get(), metrics.jobs_completed.get()), (8, 12));
-    assert_eq!(metrics.store_up.get(), 1);
+    assert_eq!((metrics.store.hits.get(), metrics.generation.jobs_completed.get()), (8, 12));
+    assert_eq!(metrics.store.up.get(), 1);
 }
 
 /// The control is an object as long as a frame may be: it is read, and is none.
@@ -400,7 +400,7 @@ async fn an_object_longer_than_any_frame_is_invalid_and_not_read() {
         let bytes = store.inner.get(id, None).await.unwrap().unwrap();
         assert_eq!(bytes.len(), read);
         assert!(tokio::task::spawn_blocking(move || store.read(id)).await.unwrap().is_none());
-        assert_eq!(metrics.store_reads_invalid.get(), 1, "{length}");
+        assert_eq!(metrics.store.reads_invalid.get(), 1, "{length}");
     }
 }
 
@@ -417,10 +417,10 @@ async fn one_read_more_than_may_be_in_flight_is_skipped() {
     };
     let others = Arc::clone(&store.inner.reads).acquire_many_owned(READS_IN_FLIGHT as u32).await.unwrap();
     assert!(!read().await.unwrap());
-    assert_eq!(metrics.store_reads_skipped.get(), 1);
+    assert_eq!(metrics.store.reads_skipped.get(), 1);
     drop(others);
     assert!(read().await.unwrap(), "the control");
-    assert_eq!(metrics.store_reads_skipped.get(), 1);
+    assert_eq!(metrics.store.reads_skipped.get(), 1);
 }
 
 /// A bake of a small region into these objects.
@@ -450,7 +450,7 @@ async fn chunks_of_a_lost_pack_become_objects_of_their_own() {
     for made in [8, 0] {
         let replica = replica(&objects, Fault::None);
         serves(&replica, &keys, EXACT).await;
-        assert_eq!(replica.metrics.jobs_completed.get(), made);
+        assert_eq!(replica.metrics.generation.jobs_completed.get(), made);
     }
 }
 
@@ -478,7 +478,7 @@ async fn chunks_of_a_lost_pack_finer_than_all_stored_levels_are_only_made() {
         let store = Arc::clone(&store);
         assert!(tokio::task::spawn_blocking(move || store.read(id)).await.unwrap().is_none());
     }
-    assert_eq!(metrics.store_misses.get(), 1);
+    assert_eq!(metrics.store.misses.get(), 1);
     assert!(store.inner.packed(id) == Some(tile) && store.inner.whole_pack(id).is_none());
 }
 
@@ -503,11 +503,11 @@ async fn damaged_and_cut_packs_are_invalid_and_open_no_breaker() {
     serves(&replica, &damaged, EXACT).await;
     serves(&replica, &whole, EXACT).await;
     let metrics = &replica.metrics;
-    assert_eq!((metrics.jobs_completed.get(), metrics.store_hits.get()), (8, 8));
+    assert_eq!((metrics.generation.jobs_completed.get(), metrics.store.hits.get()), (8, 8));
     // Of each of the four packs one read is invalid; the four others, and those of the two cut
     // packs, look for an object of the chunk's own.
-    assert_eq!((metrics.store_reads_invalid.get(), metrics.store_misses.get()), (4, 6));
-    assert_eq!(metrics.store_reads_failed.get(), 0);
+    assert_eq!((metrics.store.reads_invalid.get(), metrics.store.misses.get()), (4, 6));
+    assert_eq!(metrics.store.reads_failed.get(), 0);
 }
 
 /// A region whose object is damaged would hide the chunks of the area that it states.
@@ -542,8 +542,8 @@ async fn a_baked_region_is_served_without_making_a_chunk() {
         (0..48).map(|n| ChunkKey::new(1 + n as u8 % 3, n % 7 - 3, n / 7 - 3).unwrap()).collect();
     assert!(keys.iter().all(|key| region.contains(PackTile::of(*key).0)));
     serves(&replica, &keys, EXACT).await;
-    assert_eq!((replica.metrics.jobs_completed.get(), replica.metrics.store_writes.get()), (0, 0));
+    assert_eq!((replica.metrics.generation.jobs_completed.get(), replica.metrics.store.writes.get()), (0, 0));
     // The control: beyond the region it is made.
     serves(&replica, &[ChunkKey::new(1, 900, 900).unwrap()], EXACT).await;
-    assert_eq!(replica.metrics.jobs_completed.get(), 1);
+    assert_eq!(replica.metrics.generation.jobs_completed.get(), 1);
 }

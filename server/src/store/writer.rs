@@ -68,7 +68,7 @@ impl Writer {
         let is_held_back = self.shared.holds_back(Instant::now());
         match self.commands.try_reserve() {
             Ok(place) if !is_held_back => place.send(Command::Write(path, frame())),
-            _ => _ = self.shared.metrics.store_writes_dropped.inc(),
+            _ => _ = self.shared.metrics.store.writes_dropped.inc(),
         }
     }
 
@@ -115,20 +115,20 @@ impl Shared {
     /// changes nothing.
     async fn put(&self, path: Path, frame: Bytes) {
         if self.is_refused(Instant::now()) || !self.breaker().allows(Instant::now()) {
-            self.metrics.store_writes_dropped.inc();
+            self.metrics.store.writes_dropped.inc();
             return;
         }
         let started = Instant::now();
         let put = timeout(WRITE_TIMEOUT, self.objects.put(&path, frame.into())).await;
-        self.metrics.store_write_seconds.observe(started.elapsed().as_secs_f64());
+        self.metrics.store.write_seconds.observe(started.elapsed().as_secs_f64());
         match put {
             Ok(Ok(_)) => {
-                self.metrics.store_writes.inc();
+                self.metrics.store.writes.inc();
                 self.breaker().succeeded();
                 *self.refused() = None;
             }
             Ok(Err(error @ (Error::PermissionDenied { .. } | Error::Unauthenticated { .. }))) => {
-                self.metrics.store_writes_refused.inc();
+                self.metrics.store.writes_refused.inc();
                 if self.refused().replace(Instant::now() + REFUSED).is_none() {
                     tracing::warn!(%error, "the store refuses writes; one a minute is tried");
                 }
@@ -155,7 +155,7 @@ impl Shared {
     }
 
     fn failed(&self) {
-        self.metrics.store_writes_failed.inc();
+        self.metrics.store.writes_failed.inc();
         self.breaker().failed(Instant::now());
     }
 

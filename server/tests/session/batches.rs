@@ -8,7 +8,6 @@ use protocol::server::ChunkRequest;
 use protocol::{CloseCode, Delivery};
 use server::ServerConfig;
 use server::limits::rate_limit::TokenBucket;
-use server::metrics::ReasonLabel;
 use server::state::ServerState;
 use std::sync::Arc;
 use std::time::Duration;
@@ -143,11 +142,11 @@ async fn a_session_with_a_violation_ends_in_one_timeout_of_a_write() {
     }
     peer.send(1, b"text").await;
     let start = Instant::now();
-    while state.metrics.sessions.get() > 0 {
+    while state.metrics.sessions.open.get() > 0 {
         tokio::time::sleep(Duration::from_millis(100)).await;
     }
     let took = start.elapsed();
     assert!((write_timeout..write_timeout + Duration::from_secs(1)).contains(&took), "{took:?}");
-    let ended = state.metrics.sessions_ended.get_or_create(&ReasonLabel { reason: "write_timeout" }).get();
+    let ended = state.metrics.sessions.ended_for("write_timeout");
     assert_eq!(ended, 1);
 }

@@ -75,7 +75,7 @@ async fn requests_over_the_rate_limit_are_rejected_at_once() {
     assert_eq!(receive(&mut throttled, keys.len()).await, (0, vec![RefusalReason::Overloaded; keys.len()]));
     assert!(requested.elapsed() < Duration::from_secs(1), "{:?}", requested.elapsed());
     assert_eq!(receive(&mut free, keys.len()).await, (keys.len(), vec![]));
-    assert_eq!(state.metrics.rate_limit_rejections.get(), keys.len() as u64);
+    assert_eq!(state.metrics.limits.rate_limit_rejections.get(), keys.len() as u64);
 
     sleep(Duration::from_secs(6)).await;
     throttled.send_message(&request).await;
@@ -111,10 +111,10 @@ async fn a_view_is_delayed_by_the_rate_limit_and_never_rejected() {
         peer.send_message(&ClientMessage::Credit { chunks: 4096 }).await;
         peer.send_message(&ClientMessage::View(view)).await;
         assert_eq!(receive(&mut peer, keys.len()).await, (keys.len(), vec![]));
-        assert_eq!(state.metrics.rate_limit_delays.get() > 0, is_delayed);
+        assert_eq!(state.metrics.limits.rate_limit_delays.get() > 0, is_delayed);
         assert!(!is_delayed || start.elapsed() >= Duration::from_millis(300), "{:?}", start.elapsed());
     }
-    assert_eq!(state.metrics.rate_limit_rejections.get(), 0);
+    assert_eq!(state.metrics.limits.rate_limit_rejections.get(), 0);
 }
 
 #[tokio::test(start_paused = true)]
@@ -132,12 +132,12 @@ async fn an_idle_session_is_not_delayed_by_the_rate_limit() {
     peer.send(PING, b"?").await;
     assert_eq!(peer.next().await.unwrap().0, PONG);
     sleep(Duration::from_secs(5)).await;
-    assert_eq!(state.metrics.rate_limit_delays.get(), 0);
+    assert_eq!(state.metrics.limits.rate_limit_delays.get(), 0);
     // The control: a request waits for less than the deadline, and is counted.
     spend();
     let missing = bucket.delay(Instant::now()).unwrap() - Duration::from_millis(300);
     sleep(missing).await;
     peer.send_message(&ClientMessage::Request { id: 7, keys: vec![key.into()] }).await;
     assert_eq!(receive(&mut peer, 1).await, (1, vec![]));
-    assert_eq!(state.metrics.rate_limit_delays.get(), 1);
+    assert_eq!(state.metrics.limits.rate_limit_delays.get(), 1);
 }

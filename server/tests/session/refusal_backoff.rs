@@ -55,12 +55,12 @@ async fn a_session_with_many_rejections_pauses_and_others_do_not() {
     let mut flood = Peer::connect(&state, TokenBucket::default()).await;
     let took = send_invalid_requests(&mut flood, 40, MAX_KEYS).await;
     assert!((5..=200).contains(&took.as_millis()), "{took:?}");
-    assert!(state.metrics.refusal_backoffs.get() > 0);
+    assert!(state.metrics.limits.refusal_backoffs.get() > 0);
 
-    let before = state.metrics.refusal_backoffs.get();
+    let before = state.metrics.limits.refusal_backoffs.get();
     let took = send_invalid_requests(&mut other, 1, 100).await;
     assert!(took.as_millis() < 5, "one request of a hundred keys causes no pause: {took:?}");
-    assert_eq!(state.metrics.refusal_backoffs.get(), before);
+    assert_eq!(state.metrics.limits.refusal_backoffs.get(), before);
 
     tokio::time::sleep(Duration::from_millis(100)).await;
     let took = send_invalid_requests(&mut flood, 1, 100).await;
@@ -75,7 +75,7 @@ async fn the_rate_limit_bounds_rejections_as_well() {
         let mut peer = Peer::connect(&state, bucket).await;
         let took = send_invalid_requests(&mut peer, 1, 100).await;
         assert_eq!(took.as_millis() >= 10, is_paused, "{rate_limit_ms:?}: {took:?}");
-        assert_eq!(state.metrics.refusal_backoffs.get() > 0, is_paused);
+        assert_eq!(state.metrics.limits.refusal_backoffs.get() > 0, is_paused);
     }
 }
 

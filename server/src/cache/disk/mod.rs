@@ -81,7 +81,8 @@ impl Disk {
     ) -> Option<Bytes> {
         let path = self.path(id, delivery)?;
         let found = self.load(&path, is_valid);
-        let counter = if found.is_some() { &self.metrics.disk_hits } else { &self.metrics.disk_misses };
+        let counter =
+            if found.is_some() { &self.metrics.disk_cache.hits } else { &self.metrics.disk_cache.misses };
         counter.inc();
         found
     }
@@ -110,7 +111,7 @@ impl Disk {
             Err(error) if error.kind() == io::ErrorKind::InvalidData => self.discard(path),
             Err(error) => {
                 if !matches!(error.kind(), io::ErrorKind::NotFound | io::ErrorKind::TimedOut) {
-                    self.metrics.disk_io_errors.inc();
+                    self.metrics.disk_cache.io_errors.inc();
                 }
                 None
             }
@@ -120,7 +121,7 @@ impl Disk {
     /// Has an invalid file deleted. If the queue is full it stays; it is rejected again or
     /// replaced.
     fn discard(&self, path: &Path) -> Option<Bytes> {
-        self.metrics.disk_corrupt.inc();
+        self.metrics.disk_cache.corrupt.inc();
         tracing::debug!(path = %path.display(), "corrupt or foreign file");
         if let Ok(path) = path.strip_prefix(&self.folder) {
             let _ = self.commands.try_send(WriterCommand::Discard { path: path.to_owned() });
@@ -135,7 +136,7 @@ impl Disk {
         }
         let path = self.names.path(id, delivery);
         if self.commands.try_send(WriterCommand::Write { path, frame }).is_err() {
-            self.metrics.disk_dropped.inc();
+            self.metrics.disk_cache.dropped.inc();
         }
     }
 

@@ -81,7 +81,7 @@ impl Reader {
             if late.is_ok() {
                 self.is_blocked.store(false, Ordering::Release);
             }
-            self.metrics.disk_timeouts.inc();
+            self.metrics.disk_cache.timeouts.inc();
             late.unwrap_or_else(|_| Err(ErrorKind::TimedOut.into()))
         })
     }
@@ -163,7 +163,7 @@ mod tests {
         for _ in 0..1000 {
             assert!(late("good"), "fails at once");
         }
-        assert_eq!(metrics.disk_timeouts.get(), 1);
+        assert_eq!(metrics.disk_cache.timeouts.get(), 1);
         release.send(()).unwrap();
         let again = (0..10_000).any(|_| {
             std::thread::sleep(Duration::from_millis(1));

@@ -75,15 +75,15 @@ async fn a_frame_is_read_after_a_restart_under_its_name_only() {
     let (first, metrics) = disk(&folder);
     first.write(id(1), Delivery::Exact, frame(1));
     first.close().await;
-    assert_eq!((metrics.disk_writes.get(), metrics.disk_up.get()), (1, 1));
+    assert_eq!((metrics.disk_cache.writes.get(), metrics.disk_cache.up.get()), (1, 1));
     first.write(id(3), Delivery::Exact, frame(3));
-    assert_eq!(metrics.disk_dropped.get(), 1, "another server may have locked the folder");
+    assert_eq!(metrics.disk_cache.dropped.get(), 1, "another server may have locked the folder");
 
     let (second, metrics) = disk(&folder);
     assert_eq!(second.read(id(1), Delivery::Exact, |bytes| bytes == frame(1)), Some(frame(1)));
     assert_eq!(second.read(id(2), Delivery::Exact, |_| true), None);
     assert_eq!(second.read(id(1), Delivery::SeedOnly, |_| true), None);
-    assert_eq!((metrics.disk_hits.get(), metrics.disk_misses.get()), (1, 2));
+    assert_eq!((metrics.disk_cache.hits.get(), metrics.disk_cache.misses.get()), (1, 2));
     let elsewhere = Disk::new(folder.config(1 << 30), &WorldDigest([8; 32]), metrics).unwrap();
     assert_eq!(elsewhere.read(id(1), Delivery::Exact, |_| true), None);
 }
@@ -96,10 +96,10 @@ fn a_folder_without_a_parent_is_not_created_before_its_parent_is() {
     let now = Instant::now();
     put(&mut writer, 1, now);
     assert!(!parent.0.exists(), "the disk under a lost mount");
-    assert_eq!((metrics.disk_up.get(), metrics.disk_dropped.get()), (0, 1));
+    assert_eq!((metrics.disk_cache.up.get(), metrics.disk_cache.dropped.get()), (0, 1));
     fs::create_dir(&parent.0).unwrap();
     put(&mut writer, 1, now + Duration::from_secs(60));
-    assert_eq!((metrics.disk_up.get(), metrics.disk_writes.get()), (1, 1));
+    assert_eq!((metrics.disk_cache.up.get(), metrics.disk_cache.writes.get()), (1, 1));
 }
 
 #[tokio::test]
@@ -116,7 +116,7 @@ async fn levels_that_are_fast_to_generate_are_not_cached() {
         let level = id.key.level();
         assert_eq!(disk.read(id, Delivery::Exact, |_| true).is_some(), level == FINEST_LEVEL);
     }
-    assert_eq!((metrics.disk_writes.get(), metrics.disk_misses.get()), (1, 0));
+    assert_eq!((metrics.disk_cache.writes.get(), metrics.disk_cache.misses.get()), (1, 0));
 }
 
 #[tokio::test]
@@ -127,12 +127,12 @@ async fn an_invalid_frame_is_deleted_and_counted() {
     disk.close().await;
     let (disk, metrics) = self::disk(&folder);
     assert_eq!(disk.read(id(1), Delivery::Exact, |_| false), None);
-    assert_eq!((metrics.disk_corrupt.get(), metrics.disk_misses.get()), (1, 1));
+    assert_eq!((metrics.disk_cache.corrupt.get(), metrics.disk_cache.misses.get()), (1, 1));
     // After the deletion.
     disk.close().await;
     assert!(!folder.path(id(1)).exists());
     assert_eq!(disk.read(id(1), Delivery::Exact, |_| true), None);
-    assert_eq!(metrics.disk_corrupt.get(), 1);
+    assert_eq!(metrics.disk_cache.corrupt.get(), 1);
 
     // Longer than any frame: rejected without reading all of it.
     fs::write(folder.path(id(1)), vec![0; 4 * MAX_CHUNK_FRAME]).unwrap();
@@ -140,7 +140,7 @@ async fn an_invalid_frame_is_deleted_and_counted() {
         assert_eq!(bytes.len(), MAX_CHUNK_FRAME + 1);
         chunk_codec::verify(bytes, &WORLD).is_ok()
     });
-    assert_eq!((read, metrics.disk_corrupt.get()), (None, 2));
+    assert_eq!((read, metrics.disk_cache.corrupt.get()), (None, 2));
 }
 
 #[tokio::test]
@@ -159,10 +159,10 @@ async fn a_full_queue_drops_writes_without_blocking() {
     for x in 0..5 {
         disk.write(id(x), Delivery::Exact, frame(x));
     }
-    assert_eq!(metrics.disk_dropped.get(), 3);
+    assert_eq!(metrics.disk_cache.dropped.get(), 3);
     assert!(receiver.try_recv().is_ok());
     disk.write(id(9), Delivery::Exact, frame(9));
-    assert_eq!(metrics.disk_dropped.get(), 3, "the queue has room again");
+    assert_eq!(metrics.disk_cache.dropped.get(), 3, "the queue has room again");
 }
 
 #[test]
@@ -189,8 +189,8 @@ fn the_least_recently_used_files_are_evicted_to_the_budget() {
     let kept = files(&folder);
     let bytes = 4096 * kept.len() as u64;
     assert!(bytes <= budget && bytes > budget / 2, "{bytes} of {budget}");
-    assert_eq!(metrics.disk_evictions.get() + kept.len() as u64, count as u64);
-    assert_eq!(metrics.disk_bytes.get(), bytes as i64);
+    assert_eq!(metrics.disk_cache.evictions.get() + kept.len() as u64, count as u64);
+    assert_eq!(metrics.disk_cache.bytes.get(), bytes as i64);
     let left = (popular..old).filter(|x| folder.path(id(*x)).exists()).count();
     assert_eq!(left, 0, "unused files are evicted first");
     drop(first);
@@ -203,7 +203,7 @@ fn the_least_recently_used_files_are_evicted_to_the_budget() {
     }
     let kept = files(&folder).len() as u64;
     assert!(kept * 4096 <= budget / 2 && kept > 0);
-    assert_eq!(metrics.disk_bytes.get() as u64, kept * 4096);
+    assert_eq!(metrics.disk_cache.bytes.get() as u64, kept * 4096);
 }
 
 #[test]
@@ -224,17 +224,17 @@ fn a_replaced_file_is_counted_once() {
         second.count_next();
     }
     let there = || 4096 * files(&folder).len() as i64;
-    assert_eq!((metrics.disk_bytes.get(), there()), (60 * 4096, 60 * 4096));
+    assert_eq!((metrics.disk_cache.bytes.get(), there()), (60 * 4096, 60 * 4096));
     for x in 0..60 {
         // Found by a reader, or not.
         if x % 2 == 0 {
             second.discard(&FrameNames::new(&WORLD).path(id(x), Delivery::Exact));
         }
-        assert_eq!(metrics.disk_bytes.get(), there());
+        assert_eq!(metrics.disk_cache.bytes.get(), there());
         put(&mut second, x, now);
-        assert_eq!(metrics.disk_bytes.get(), there());
+        assert_eq!(metrics.disk_cache.bytes.get(), there());
     }
-    assert_eq!(metrics.disk_bytes.get(), 60 * 4096);
+    assert_eq!(metrics.disk_cache.bytes.get(), 60 * 4096);
 }
 
 #[test]
@@ -261,16 +261,16 @@ fn an_unavailable_folder_is_retried_after_a_minute() {
     // A file in the place of the folder, which no user can write to.
     fs::write(&folder.0, "in the way").unwrap();
     put(&mut writer, 1, now);
-    assert_eq!((metrics.disk_io_errors.get(), metrics.disk_dropped.get()), (1, 1));
+    assert_eq!((metrics.disk_cache.io_errors.get(), metrics.disk_cache.dropped.get()), (1, 1));
     fs::remove_file(&folder.0).unwrap();
     put(&mut writer, 2, now + Duration::from_secs(59));
     assert_eq!(
-        (metrics.disk_io_errors.get(), metrics.disk_dropped.get()),
+        (metrics.disk_cache.io_errors.get(), metrics.disk_cache.dropped.get()),
         (1, 2),
         "not retried before the interval"
     );
     put(&mut writer, 3, now + Duration::from_secs(61));
-    assert_eq!((metrics.disk_writes.get(), metrics.disk_up.get()), (1, 1));
+    assert_eq!((metrics.disk_cache.writes.get(), metrics.disk_cache.up.get()), (1, 1));
     assert!(folder.path(id(3)).exists() && !folder.path(id(1)).exists());
 }
 
@@ -289,7 +289,7 @@ fn a_read_only_folder_is_read_and_not_written() {
     let (mut second, metrics) = writer(&folder, 1 << 30);
     put(&mut second, 2, now);
     assert_eq!(folder.path(id(2)).exists(), !is_bound);
-    assert_eq!(metrics.disk_up.get(), i64::from(!is_bound));
+    assert_eq!(metrics.disk_cache.up.get(), i64::from(!is_bound));
     assert_eq!(load(&folder.path(id(1))).unwrap(), frame(1));
     fs::set_permissions(&folder.0, fs::Permissions::from_mode(0o755)).unwrap();
 }
@@ -300,15 +300,18 @@ fn a_removed_folder_is_not_created_again_and_is_reused() {
     let now = Instant::now();
     let (mut writer, metrics) = writer(&folder, 1 << 30);
     put(&mut writer, 1, now);
-    assert_eq!((metrics.disk_writes.get(), metrics.disk_bytes.get()), (1, 4096));
+    assert_eq!((metrics.disk_cache.writes.get(), metrics.disk_cache.bytes.get()), (1, 4096));
     fs::remove_dir_all(&folder.0).unwrap();
     put(&mut writer, 2, now);
     put(&mut writer, 3, now + Duration::from_secs(61));
     assert!(!folder.0.exists(), "the disk under a lost mount must not be filled");
-    assert_eq!((metrics.disk_io_errors.get(), metrics.disk_dropped.get(), metrics.disk_up.get()), (2, 2, 0));
+    assert_eq!(
+        (metrics.disk_cache.io_errors.get(), metrics.disk_cache.dropped.get(), metrics.disk_cache.up.get()),
+        (2, 2, 0)
+    );
     fs::create_dir(&folder.0).unwrap();
     put(&mut writer, 4, now + Duration::from_secs(122));
-    assert_eq!((metrics.disk_up.get(), metrics.disk_bytes.get()), (1, 4096));
+    assert_eq!((metrics.disk_cache.up.get(), metrics.disk_cache.bytes.get()), (1, 4096));
     assert!(folder.path(id(4)).exists());
 }
 
@@ -320,10 +323,10 @@ fn a_folder_is_locked_by_one_server() {
     let (mut second, metrics) = writer(&folder, 1 << 30);
     put(&mut first, 1, now);
     put(&mut second, 2, now);
-    assert_eq!((metrics.disk_io_errors.get(), metrics.disk_dropped.get()), (1, 1));
+    assert_eq!((metrics.disk_cache.io_errors.get(), metrics.disk_cache.dropped.get()), (1, 1));
     drop(first);
     put(&mut second, 2, now + Duration::from_secs(61));
-    assert_eq!((metrics.disk_writes.get(), metrics.disk_up.get()), (1, 1));
+    assert_eq!((metrics.disk_cache.writes.get(), metrics.disk_cache.up.get()), (1, 1));
 }
 
 #[test]
@@ -344,7 +347,7 @@ fn an_entry_that_is_no_file_affects_no_other_frame() {
     let folder = Folder::new();
     let (disk, metrics) = disk(&folder);
     // The writer thread creates the folder, and takes one that appears meanwhile for an error.
-    while metrics.disk_up.get() == 0 {
+    while metrics.disk_cache.up.get() == 0 {
         std::thread::yield_now();
     }
     let path_of = |x| {
@@ -363,7 +366,7 @@ fn an_entry_that_is_no_file_affects_no_other_frame() {
     for x in 1..=4 {
         assert_eq!(disk.read(id(x), Delivery::Exact, |bytes| bytes == frame(x)), None);
     }
-    assert_eq!((metrics.disk_corrupt.get(), metrics.disk_timeouts.get()), (4, 0));
+    assert_eq!((metrics.disk_cache.corrupt.get(), metrics.disk_cache.timeouts.get()), (4, 0));
     // The writer thread deletes them.
     while [&pipe, &link, &empty].iter().any(|path| fs::symlink_metadata(path).is_ok()) {
         std::thread::yield_now();
@@ -382,10 +385,10 @@ fn an_entry_that_is_no_file_affects_no_other_frame() {
     for x in [4, 1, 2, 3] {
         disk.write(id(x), Delivery::Exact, frame(x));
     }
-    while metrics.disk_writes.get() + metrics.disk_dropped.get() < 4 {
+    while metrics.disk_cache.writes.get() + metrics.disk_cache.dropped.get() < 4 {
         std::thread::yield_now();
     }
-    assert_eq!((metrics.disk_writes.get(), metrics.disk_up.get()), (3, 1));
+    assert_eq!((metrics.disk_cache.writes.get(), metrics.disk_cache.up.get()), (3, 1));
     for x in 1..=3 {
         assert_eq!(disk.read(id(x), Delivery::Exact, |bytes| bytes == frame(x)), Some(frame(x)));
     }

@@ -137,18 +137,18 @@ impl DiskWriter {
     pub fn write(&mut self, path: &Path, frame: &[u8], now: Instant) {
         self.try_open(now);
         if !self.is_open() {
-            self.metrics.disk_dropped.inc();
+            self.metrics.disk_cache.dropped.inc();
         } else if let Err(error) = self.store(path, frame) {
-            self.metrics.disk_dropped.inc();
+            self.metrics.disk_cache.dropped.inc();
             match error.kind() {
                 // A folder in the place of a file affects one frame only.
                 io::ErrorKind::IsADirectory | io::ErrorKind::DirectoryNotEmpty => {
-                    self.metrics.disk_io_errors.inc();
+                    self.metrics.disk_cache.io_errors.inc();
                 }
                 _ => self.mark_unavailable(&error, now),
             }
         } else {
-            self.metrics.disk_writes.inc();
+            self.metrics.disk_cache.writes.inc();
         }
         self.update_size_metric();
     }
@@ -244,7 +244,7 @@ impl DiskWriter {
                 Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
                 _ => {
                     bytes -= size;
-                    self.metrics.disk_evictions.inc();
+                    self.metrics.disk_cache.evictions.inc();
                 }
             }
         }
@@ -280,7 +280,7 @@ impl DiskWriter {
                 self.state = State::Open(lock);
                 (self.was_open, self.next_to_count) = (true, 0);
                 self.counts.fill(None);
-                self.metrics.disk_up.set(1);
+                self.metrics.disk_cache.up.set(1);
                 if self.is_outage_logged {
                     let folder = self.config.folder.display();
                     tracing::info!(%folder, "the disk cache is available again");
@@ -316,8 +316,8 @@ impl DiskWriter {
 
     fn mark_unavailable(&mut self, error: &io::Error, now: Instant) {
         self.state = State::Unavailable(Some(now + RETRY_INTERVAL));
-        self.metrics.disk_up.set(0);
-        self.metrics.disk_io_errors.inc();
+        self.metrics.disk_cache.up.set(0);
+        self.metrics.disk_cache.io_errors.inc();
         if !self.is_outage_logged {
             let folder = self.config.folder.display();
             tracing::warn!(%folder, %error, "the disk cache is unavailable; retrying every minute");
@@ -327,7 +327,7 @@ impl DiskWriter {
 
     fn update_size_metric(&self) {
         let bytes: u64 = self.counts.iter().flatten().sum();
-        self.metrics.disk_bytes.set(bytes as i64);
+        self.metrics.disk_cache.bytes.set(bytes as i64);
     }
 }
 

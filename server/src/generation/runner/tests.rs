@@ -27,8 +27,8 @@ async fn deliveries_of_a_key_share_a_job_and_only_requested_ones_are_encoded() {
     fixture.permit.send(()).unwrap();
     assert_eq!(exact.await.unwrap().unwrap().len(), flat_frame_bytes());
     assert_eq!(seed.await.unwrap().unwrap().len(), SEED_ONLY_FRAME);
-    assert_eq!(fixture.metrics.jobs_completed.get(), 1);
-    assert_eq!(fixture.metrics.frames_coalesced.get(), 1);
+    assert_eq!(fixture.metrics.generation.jobs_completed.get(), 1);
+    assert_eq!(fixture.metrics.generation.coalesced.get(), 1);
 
     fixture.permit.send(()).unwrap();
     fixture.service.flow().frame(chunk_request(key(2), 1), Delivery::SeedOnly).await.unwrap();
@@ -67,7 +67,7 @@ async fn an_expired_request_is_rejected_and_not_generated() {
     fixture.permit.send(()).unwrap();
     assert_eq!(flow.completions().await[0].0.key, key(0));
     assert_eq!(flow.completions().await[0].1, Err(GenerationError::Overloaded));
-    assert_eq!((fixture.generated.try_iter().count(), fixture.metrics.jobs_expired.get()), (1, 1));
+    assert_eq!((fixture.generated.try_iter().count(), fixture.metrics.generation.jobs_expired.get()), (1, 1));
 }
 
 #[tokio::test]
@@ -82,7 +82,8 @@ async fn an_idle_server_encodes_a_fast_encoded_frame_again() {
     while flow.in_flight() > 0 {
         flow.completions().await;
     }
-    let (fast, completed) = (fixture.metrics.frames_encoded_fast.get(), fixture.metrics.jobs_completed.get());
+    let (fast, completed) =
+        (fixture.metrics.generation.encoded_fast.get(), fixture.metrics.generation.jobs_completed.get());
     assert!((1..200).contains(&fast), "{fast}");
     let idle = async || {
         while fixture.service.load() > 0.0 {
@@ -108,7 +109,7 @@ async fn an_idle_server_encodes_a_fast_encoded_frame_again() {
         idle().await;
     }
     assert_eq!(
-        (fixture.metrics.frames_encoded_fast.get(), fixture.metrics.jobs_completed.get()),
+        (fixture.metrics.generation.encoded_fast.get(), fixture.metrics.generation.jobs_completed.get()),
         (fast, completed + 2)
     );
 }
@@ -122,7 +123,7 @@ async fn a_panic_fails_its_own_job_only() {
     fixture.permit.send(()).unwrap();
     assert_eq!(bad.await.unwrap(), Err(GenerationError::Failed));
     assert!(good.await.unwrap().is_ok());
-    assert_eq!(fixture.metrics.jobs_failed.get(), 1);
+    assert_eq!(fixture.metrics.generation.jobs_failed.get(), 1);
 }
 
 /// The terrain, with a count of measured errors.
@@ -175,7 +176,7 @@ async fn a_panic_fails_its_own_view_only() {
     good.select(view_selection(1), land);
     assert!(matches!(bad.next_event().await, FlowEvent::ViewFailed));
     assert!(matches!(good.next_event().await, FlowEvent::View(_)));
-    assert_eq!(metrics.jobs_failed.get(), 1);
+    assert_eq!(metrics.generation.jobs_failed.get(), 1);
     // The session of the failed view goes on.
     bad.select(view_selection(2), land);
     assert!(matches!(bad.next_event().await, FlowEvent::View(_)));
@@ -192,10 +193,10 @@ async fn the_selection_of_a_view_is_charged_with_the_time_that_the_metric_counts
     let client = Some("10.0.0.1".parse().unwrap());
     let bucket = RateLimiter::new(Some(0)).bucket(client);
     let mut flow = service.session(client, bucket.clone());
-    assert_eq!((bucket.tokens(), metrics.view_busy_seconds.get()), (0.0, 0.0));
+    assert_eq!((bucket.tokens(), metrics.generation.view_busy_seconds.get()), (0.0, 0.0));
     flow.select(view_selection(1), land);
     assert!(matches!(flow.next_event().await, FlowEvent::View(_)));
-    let (charged_us, busy_us) = (-bucket.tokens(), metrics.view_busy_seconds.get() * 1e6);
+    let (charged_us, busy_us) = (-bucket.tokens(), metrics.generation.view_busy_seconds.get() * 1e6);
     assert!(charged_us > 0.0 && busy_us > 0.0, "{charged_us}, {busy_us}");
     // The charge is in whole microseconds, and at most `MAX_CHARGE` for a turn.
     assert!(charged_us > busy_us / 10.0 && charged_us < busy_us + 1.0, "{charged_us}, {busy_us}");
@@ -250,7 +251,7 @@ async fn every_delivery_is_read_from_disk_with_one_measured_error() {
     for (delivery, measurements) in [(Delivery::SeedOnly, 1), (Delivery::Exact, 0), (quantised, 0)] {
         let (service, metrics, measured) = restarted(&folder);
         let frame = service.flow().frame(chunk_request(key, 1), delivery).await.unwrap();
-        assert_eq!(metrics.jobs_completed.get(), 1, "{delivery}");
+        assert_eq!(metrics.generation.jobs_completed.get(), 1, "{delivery}");
         assert_eq!(measured.load(Ordering::Relaxed), measurements, "{delivery}");
         service.close().await;
         frames.push((delivery, frame));
@@ -263,7 +264,7 @@ async fn every_delivery_is_read_from_disk_with_one_measured_error() {
             "{delivery}"
         );
     }
-    assert_eq!((metrics.jobs_completed.get(), metrics.disk_hits.get()), (0, 3));
+    assert_eq!((metrics.generation.jobs_completed.get(), metrics.disk_cache.hits.get()), (0, 3));
     assert_eq!(measured.load(Ordering::Relaxed), 0);
     service.close().await;
 
@@ -276,7 +277,7 @@ async fn every_delivery_is_read_from_disk_with_one_measured_error() {
     let (service, metrics, _) = restarted(&folder);
     let again = service.flow().frame(chunk_request(key, 1), Delivery::SeedOnly).await.unwrap();
     assert_eq!(again, frames[0].1);
-    assert_eq!((metrics.disk_corrupt.get(), metrics.jobs_completed.get()), (1, 1));
+    assert_eq!((metrics.disk_cache.corrupt.get(), metrics.generation.jobs_completed.get()), (1, 1));
     service.close().await;
     std::fs::remove_dir_all(&folder).unwrap();
 }
@@ -316,7 +317,7 @@ async fn the_duration_of_a_generation_has_no_waits_for_the_disk() {
     let without_check = started.elapsed() - *check.get().unwrap();
     service.close().await;
     std::fs::remove_dir_all(&folder).unwrap();
-    assert_eq!(metrics.jobs_completed.get(), 1);
+    assert_eq!(metrics.generation.jobs_completed.get(), 1);
     let text = metrics.render();
     let sum = text.lines().find_map(|line| line.strip_prefix("tombolo_generation_duration_seconds_sum "));
     let seconds: f64 = sum.unwrap().parse().unwrap();
