@@ -11,12 +11,14 @@ use crate::store::tile::{CHUNKS, ObjectNames, PackTile};
 use bytes::Bytes;
 use clap::Args;
 use cli::UsageError;
+use futures_util::future::ready;
 use futures_util::{StreamExt, TryStreamExt, stream};
 use object_store::path::Path;
 use object_store::{Error, GetOptions, ObjectStore, ObjectStoreExt};
 use protocol::chunk_codec;
 use rayon::prelude::*;
 use std::ops::RangeInclusive;
+use std::pin::pin;
 use std::sync::Arc;
 use std::time::Duration;
 use terrain::Land;
@@ -84,6 +86,9 @@ pub struct Baked {
     pub written: u64,
     /// Bytes written.
     pub bytes: u64,
+    /// Reads that the store refused. S3 refuses reads of absent objects to a client that may not list
+    /// the bucket, so each counts as one of an absent object.
+    pub refused: u64,
     /// Whether the region is complete, so that servers use it.
     pub is_complete: bool,
     /// Whether it was stopped before its end.
@@ -163,7 +168,9 @@ impl Bake {
         for tile in (0..).zip(self.region.tiles()).filter(|(n, _)| n % of == index).map(|(_, tile)| tile) {
             let path = self.names.pack(tile);
             let Some(stored) = stop.run_until_cancelled(self.stored(&path)).await else { break };
-            if stored?.is_some_and(|bytes| pack::verify(&world, tile, &bytes).is_ok()) {
+            let stored = stored?;
+            baked.refused += u64::from(stored == Stored::Refused);
+            if matches!(stored, Stored::Object(bytes) if pack::verify(&world, tile, &bytes).is_ok()) {
                 (baked.packs, baked.kept) = (baked.packs + 1, baked.kept + 1);
                 progress(&baked, total);
                 continue;
@@ -182,8 +189,12 @@ impl Bake {
             progress(&baked, total);
         }
         // Also if it is stopped after its last pack: another run shows whether the region is complete.
-        match stop.run_until_cancelled(self.has_all_packs()).await {
-            Some(has_all) => baked.is_complete = has_all?,
+        match stop.run_until_cancelled(self.missing_pack()).await {
+            Some(missing) => {
+                let missing = missing?;
+                baked.is_complete = missing.is_none();
+                baked.refused += u64::from(missing == Some(Stored::Refused));
+            }
             None => baked.is_stopped = true,
         }
         if baked.is_complete {
@@ -193,25 +204,25 @@ impl Bake {
     }
 
     /// A whole pack, if there is one of a possible length.
-    async fn stored(&self, path: &Path) -> Result<Option<Bytes>, String> {
+    async fn stored(&self, path: &Path) -> Result<Stored, String> {
         let get = async {
             match self.objects.get_opts(path, GetOptions::default()).await {
-                Err(Error::NotFound { .. }) => Ok(None),
-                Ok(answer) if answer.meta.size > pack::MAX_PACK as u64 => Ok(None),
-                answer => answer?.bytes().await.map(Some),
+                Ok(answer) if answer.meta.size > pack::MAX_PACK as u64 => Ok(Stored::Absent),
+                Ok(answer) => answer.bytes().await.map(Stored::Object),
+                Err(error) => Stored::without(error),
             }
         };
         within(get, path).await
     }
 
-    /// Whether all packs of the region exist, those of other parts too.
-    async fn has_all_packs(&self) -> Result<bool, String> {
-        let missing = stream::iter(self.region.tiles())
-            .map(|tile| self.exists(self.names.pack(tile)))
-            .buffer_unordered(HEADS_IN_FLIGHT)
-            .try_any(|exists| async move { !exists })
-            .await?;
-        Ok(!missing)
+    /// The state of a pack of the region that does not exist; none if all do, those of other parts
+    /// too.
+    async fn missing_pack(&self) -> Result<Option<Stored>, String> {
+        let looks = stream::iter(self.region.tiles())
+            .map(|tile| self.look(self.names.pack(tile)))
+            .buffer_unordered(HEADS_IN_FLIGHT);
+        let missing = looks.try_filter(|stored| ready(!matches!(stored, Stored::Object(_))));
+        pin!(missing).try_next().await
     }
 
     /// Writes the object of the region, whose packs all exist.
@@ -221,15 +232,33 @@ impl Bake {
         Ok(())
     }
 
-    async fn exists(&self, path: Path) -> Result<bool, String> {
+    /// Whether an object exists; its bytes are not read.
+    async fn look(&self, path: Path) -> Result<Stored, String> {
         let head = async {
-            match self.objects.head(&path).await {
-                Ok(_) => Ok(true),
-                Err(Error::NotFound { .. }) => Ok(false),
-                Err(error) => Err(error),
-            }
+            let found = self.objects.head(&path).await;
+            found.map_or_else(Stored::without, |_| Ok(Stored::Object(Bytes::new())))
         };
         within(head, &path).await
+    }
+}
+
+/// The answer of a store to a read.
+#[derive(Debug, PartialEq, Eq)]
+enum Stored {
+    Object(Bytes),
+    Absent,
+    /// The client may not read it, or it is absent.
+    Refused,
+}
+
+impl Stored {
+    /// The answer of a failed read, if it is one.
+    fn without(error: Error) -> object_store::Result<Self> {
+        match error {
+            Error::NotFound { .. } => Ok(Self::Absent),
+            Error::PermissionDenied { .. } => Ok(Self::Refused),
+            error => Err(error),
+        }
     }
 }
 
@@ -254,7 +283,12 @@ async fn within<T>(request: impl Future<Output = object_store::Result<T>>, path:
         Ok(Ok(done)) => Ok(done),
         Ok(Err(error)) => {
             let line = error.to_string().split_whitespace().collect::<Vec<_>>().join(" ");
-            Err(format!("the store failed: {line}; what is written stays, run the same command again"))
+            let cure = match error {
+                Error::PermissionDenied { .. } => "give the credentials the right to put objects",
+                Error::Unauthenticated { .. } => "give valid credentials in the environment",
+                _ => "what is written stays, run the same command again",
+            };
+            Err(format!("the store failed: {line}; {cure}"))
         }
         Err(_) => Err(format!("the store did not answer within {REQUEST_TIMEOUT:?} ({path}); run it again")),
     }

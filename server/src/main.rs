@@ -100,7 +100,14 @@ fn bake(args: BakeArgs) -> ExitCode {
             cli::fail(NAME, format!("{} packs written; run it again to go on", baked.written), TERMINATED)
         }
         Ok(baked) => {
-            let region = if baked.is_complete { "is complete" } else { "lacks packs of other parts" };
+            let region = match baked {
+                Baked { is_complete: true, .. } => "is complete",
+                Baked { refused: 1.., .. } => {
+                    "lacks packs of other parts, or packs that may not be read; the store refused reads: \
+                     give the credentials the rights to get and to list objects"
+                }
+                Baked { .. } => "lacks packs of other parts",
+            };
             let seconds = started.elapsed().as_secs_f64();
             let _ = writeln!(
                 std::io::stdout(),

@@ -1,4 +1,5 @@
 use super::*;
+use crate::store::test_store::{Fault, Faulty};
 use object_store::memory::InMemory;
 use std::collections::BTreeMap;
 
@@ -111,6 +112,26 @@ async fn a_pack_counts_when_the_store_has_taken_it() {
         .unwrap();
     let _ = std::fs::remove_dir_all(&folder);
     assert!(baked.packs > 2 && seen.last() == Some(&(baked.packs, baked.packs)), "{seen:?}");
+}
+
+/// S3 without the right to list refuses reads of absent objects: a bake writes them and completes.
+/// Controls: a client that may not read at all completes nothing, and one that may not write fails.
+#[tokio::test]
+async fn a_bake_without_the_right_to_list_completes() {
+    let run = async |fault| {
+        let objects = Arc::new(InMemory::new());
+        let mut bake = bake(&objects, 0, 1);
+        bake.objects = Arc::new(Faulty { objects, fault });
+        bake.run(&CancellationToken::new(), |_, _| ()).await
+    };
+    let unlisted = run(Fault::Unlisted).await.unwrap();
+    assert!(unlisted.is_complete && unlisted.refused == unlisted.packs, "{unlisted:?}");
+    let unread = run(Fault::WriteOnly).await.unwrap();
+    assert!(!unread.is_complete && unread.refused == unread.packs + 1, "{unread:?}");
+    assert_eq!(unread.written, unlisted.written);
+    let unwritten = run(Fault::ReadOnly).await.unwrap_err();
+    assert!(unwritten.contains("the right to put"), "{unwritten}");
+    assert_eq!(run(Fault::None).await.unwrap().refused, 0);
 }
 
 #[test]

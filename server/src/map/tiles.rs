@@ -299,12 +299,14 @@ mod tests {
             (0, 1)
         );
 
-        // A full bucket pays for some ten of the 36 chunks.
+        // 10 ms pay for some ten of the 36 chunks. A chunk that takes 3 s more is within the deadline.
         let tile = {
-            let (map, generation, full) = (Arc::clone(&map), generation.clone(), bucket(1));
-            tokio::spawn(async move { map.tile(key(4, 0, -1), None, &generation, &full).await.map(drop) })
+            let (map, generation, short) = (Arc::clone(&map), generation.clone(), bucket(100));
+            short.charge_work(990_000, Instant::now());
+            tokio::spawn(async move { map.tile(key(4, 0, -1), None, &generation, &short).await.map(drop) })
         };
         while metrics.limits.rate_limit_delays.get() == 0 {
+            assert!(!tile.is_finished(), "without a delay");
             tokio::task::yield_now().await;
         }
         let made = metrics.generation.jobs_completed.get();

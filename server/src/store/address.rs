@@ -5,6 +5,8 @@ use object_store::path::Path;
 use object_store::{ObjectStore, parse_url_opts};
 use std::path::PathBuf;
 use std::sync::Arc;
+use std::sync::mpsc::sync_channel;
+use std::time::Duration;
 use url::Url;
 
 /// Environment variables with these prefixes are settings of an engine, such as `AWS_REGION`,
@@ -14,6 +16,9 @@ const SETTINGS: [&str; 3] = ["AWS_", "GOOGLE_", "AZURE_"];
 /// Schemes of URLs that are accepted: those that the options name. `object_store` knows more, among
 /// them `memory`, whose objects end with the process.
 const SCHEMES: [&str; 4] = ["file", "s3", "gs", "az"];
+
+/// Time in which a folder has to answer at the start.
+const FOLDER_TIMEOUT: Duration = Duration::from_secs(10);
 
 /// A checked address. It may not hold secrets: those stand in the environment.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -55,12 +60,22 @@ impl StoreAddress {
     /// The settings of the engine are invalid, or the folder does not exist.
     pub fn open(&self) -> Result<(Arc<dyn ObjectStore>, Path), String> {
         let folder = self.folder();
-        if let Some(folder) = folder.as_ref().filter(|folder| !folder.is_dir()) {
-            let folder = folder.display().to_string();
-            return Err(format!(
-                "the folder {} does not exist; create it, or mount the volume that it lies on",
-                folder.escape_debug()
-            ));
+        if let Some(path) = folder.clone() {
+            let shown = path.display().to_string().escape_debug().to_string();
+            match within(FOLDER_TIMEOUT, move || path.is_dir()) {
+                Some(true) => {}
+                Some(false) => {
+                    return Err(format!(
+                        "the folder {shown} does not exist; create it, or mount the volume that it lies on"
+                    ));
+                }
+                None => {
+                    return Err(format!(
+                        "the folder {shown} does not answer within {} s; check the volume that it lies on",
+                        FOLDER_TIMEOUT.as_secs()
+                    ));
+                }
+            }
         }
         // The first caller decides; all choose the same.
         let _ = rustls::crypto::ring::default_provider().install_default();
@@ -80,6 +95,14 @@ impl StoreAddress {
         // Only a URL of a file with a host is none; the engine rejects it.
         (self.0.scheme() == "file").then(|| self.0.to_file_path().ok()).flatten()
     }
+}
+
+/// The result of a call that may never end, as of a file on a volume whose server is gone; none if
+/// it takes longer than a limit. Its thread then remains until the process ends.
+fn within<T: Send + 'static>(limit: Duration, call: impl FnOnce() -> T + Send + 'static) -> Option<T> {
+    let (sender, result) = sync_channel(1);
+    std::thread::spawn(move || _ = sender.try_send(call()));
+    result.recv_timeout(limit).ok()
 }
 
 /// Whether a text is a URL with one slash too few, such as `s3:/bucket`: it would be the path of a
@@ -131,6 +154,13 @@ mod tests {
         let (_, root) = address.open().unwrap();
         std::fs::remove_dir_all(folder.parent().unwrap()).unwrap();
         assert_eq!(format!("/{root}"), folder.to_str().unwrap());
+    }
+
+    #[test]
+    fn a_call_that_never_ends_has_no_result() {
+        let (_open, never) = sync_channel::<()>(0);
+        assert_eq!(within(Duration::from_millis(10), move || never.recv().ok()), None);
+        assert_eq!(within(FOLDER_TIMEOUT, || 7), Some(7));
     }
 
     #[test]

@@ -501,4 +501,6 @@ fn one_line(error: &Error) -> String {
 }
 
 #[cfg(test)]
+pub(crate) mod test_store;
+#[cfg(test)]
 mod tests;
