@@ -4,6 +4,9 @@ use crate::connection::{Connection, Received};
 use anyhow::{Context, Result, ensure};
 use rustc_hash::FxHashMap;
 use std::pin::pin;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 use terrain::ChunkKey;
 use tokio::runtime::{Builder, Runtime};
@@ -12,6 +15,9 @@ use tokio::runtime::{Builder, Runtime};
 /// which shares its processor on a machine with few of them. The work that the other peers make for
 /// the server counts, not the time that they take from the measured clients.
 const OTHERS_NICE: i32 = 10;
+
+/// Nice value of a server's generation threads.
+const GENERATION_NICE: i32 = 3;
 
 /// A runtime on a thread of its own, for peers that must not delay the measured clients.
 pub fn other_thread() -> Result<Runtime> {
@@ -24,6 +30,44 @@ pub fn other_thread() -> Result<Runtime> {
         .enable_all()
         .build()
         .context("cannot start a thread")
+}
+
+/// Threads that work without a wait, as many as processors: other programs of the machine. They end
+/// when this is dropped.
+#[derive(Debug)]
+pub struct BusyThreads {
+    must_stop: Arc<AtomicBool>,
+    threads: Vec<JoinHandle<()>>,
+}
+
+impl BusyThreads {
+    /// Starts them with the nice value of a server's generation threads.
+    pub fn start() -> Self {
+        let must_stop = Arc::new(AtomicBool::new(false));
+        let count = std::thread::available_parallelism().map_or(1, usize::from);
+        let work = || {
+            let must_stop = Arc::clone(&must_stop);
+            std::thread::spawn(move || {
+                #[cfg(target_os = "linux")]
+                let _ = rustix::process::nice(GENERATION_NICE);
+                while !must_stop.load(Ordering::Relaxed) {
+                    std::hint::spin_loop();
+                }
+            })
+        };
+        let threads = (0..count).map(|_| work()).collect();
+        Self { must_stop, threads }
+    }
+}
+
+impl Drop for BusyThreads {
+    fn drop(&mut self) {
+        self.must_stop.store(true, Ordering::Relaxed);
+        for thread in self.threads.drain(..) {
+            // It has no way to fail.
+            let _ = thread.join();
+        }
+    }
 }
 
 /// Runs a client on each connection, all at the same time. The first that fails fails the

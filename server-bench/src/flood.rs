@@ -6,7 +6,7 @@
 //! stop on SIGTERM.
 
 use crate::Plan;
-use crate::clients::other_thread;
+use crate::clients::{BusyThreads, other_thread};
 use crate::connection::{Connection, get};
 use crate::keys::{WORLD_SEED, land_keys};
 use crate::polite::{Polite, polite};
@@ -28,6 +28,9 @@ use tokio::task::JoinHandle;
 
 /// Sessions that flood.
 const SESSIONS: [usize; 3] = [4, 8, 32];
+
+/// Runs beside busy threads in a round: as many as each kind of views has.
+const BUSY_RUNS: u32 = 2 * SESSIONS.len() as u32;
 
 /// Views a second of a session with a fixed rate.
 const RATE: u32 = 60;
@@ -129,11 +132,26 @@ pub async fn run(plan: &Plan) -> Result<Value> {
             }
         }
     }
+    let mut busy_ms = Vec::new();
+    for _ in 0..BUSY_RUNS * plan.rounds {
+        busy_ms.push(busy_p99_ms(plan, &keys).await?);
+    }
     let alone_ms = quantile_ms(alone, 0.99);
     for scenario in &mut scenarios {
         scenario["polite_p99_ratio"] = json!(ratio(at(scenario, "polite_p99_ms"), alone_ms));
     }
-    Ok(json!({ "scenarios": scenarios, "polite_p99_alone_ms": alone_ms }))
+    let busy_ratio = ratio(busy_ms.iter().copied().reduce(f64::max), alone_ms);
+    let busy = json!({ "polite_p99_ms": busy_ms, "polite_p99_ratio": busy_ratio });
+    Ok(json!({ "scenarios": scenarios, "polite_p99_alone_ms": alone_ms, "busy": busy }))
+}
+
+/// The control: the p99 of the polite client, milliseconds, without a flood, while other threads of
+/// the machine are busy.
+async fn busy_p99_ms(plan: &Plan, keys: &[ChunkKey]) -> Result<f64> {
+    let server = ServerProcess::start(&plan.launch, &[])?;
+    let _busy = BusyThreads::start();
+    let end = Instant::now() + Duration::from_secs(plan.seconds);
+    Ok(polite(server.address, keys.to_vec(), POLITE_INTERVAL, end).await?.p99_ms())
 }
 
 /// One scenario. The latencies of the polite client alone are added to those of the scenarios
@@ -315,6 +333,12 @@ pub fn bars(figures: &Value) -> Vec<Bar> {
         Bar::at_least("flood: chunks of a polite client over alone", share, "", 0.8).with_note(worst_note),
         Bar::at_most("flood: polite p99 over alone", worst_of("polite_p99_ratio"), "x", 3.0)
             .with_note(p99_note),
+        Bar::reported(
+            "flood: the same beside busy threads of another program, without a flood (control)",
+            at(figures, "busy/polite_p99_ratio"),
+            "x",
+        )
+        .with_note("as many threads as cores, nice 3 like those of generation; the worst run"),
         Bar::at_most("flood: stop on SIGTERM", worst_of("stop_s"), "s", 10.0).with_note(worst_note),
         Bar::at_least(
             "flood: views a second of a session that the server counted, fewest (control)",
@@ -340,7 +364,7 @@ mod tests {
             "probe_worst_ms": 40.0, "polite_chunks_share": 0.97, "polite_p99_ratio": 1.5, "stop_s": 0.4,
             "views_per_s_of_session": 60.0, "sessions_ended": 0.0,
         });
-        let good = json!({ "scenarios": vec![scenario; SCENARIOS] });
+        let good = json!({ "scenarios": vec![scenario; SCENARIOS], "busy": { "polite_p99_ratio": 5.0 } });
         let bad = [
             ("/scenarios/3/probe_worst_ms", json!(101.0)),
             ("/scenarios/0/polite_chunks_share", json!(0.79)),
@@ -348,7 +372,11 @@ mod tests {
             ("/scenarios/7/stop_s", json!(null)),
         ];
         check(bars, &good, &bad);
-        check_absent(bars, &good, &[("", "scenarios", 6), ("/scenarios/5", "stop_s", 1)]);
+        check_absent(
+            bars,
+            &good,
+            &[("", "scenarios", 6), ("/scenarios/5", "stop_s", 1), ("/busy", "polite_p99_ratio", 1)],
+        );
         check_without_peers(bars, &good, "/scenarios", json!(list(&good, "scenarios")[1..]));
     }
 
@@ -358,7 +386,7 @@ mod tests {
             "probe_worst_ms": 40.0, "polite_chunks_share": 0.97, "polite_p99_ratio": 1.5, "stop_s": 0.4,
             "views_per_s_of_session": 60.0, "sessions_ended": 0.0,
         });
-        let good = json!({ "scenarios": vec![scenario; SCENARIOS] });
+        let good = json!({ "scenarios": vec![scenario; SCENARIOS], "busy": { "polite_p99_ratio": 5.0 } });
         for (path, value) in [
             ("views_per_s_of_session", json!(0.9)),
             ("sessions_ended", json!(1)),
