@@ -5,15 +5,25 @@
 //! preflight has to name because `*` does not include it.
 
 use crate::state::ServerState;
+use axum::extract::{MatchedPath, Request};
 use axum::http::{HeaderValue, StatusCode, header};
-use axum::middleware::map_response;
+use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use axum::routing::MethodRouter;
 use std::sync::Arc;
 
-/// Allows all origins on a route, preflights included.
+/// The routes that allow all origins.
+pub const ANY_ORIGIN: [&str; 5] = [
+    "/openapi.json",
+    "/v1/world",
+    "/v1/{digest}/chunk/{level}/{x}/{z}",
+    "/v1/{digest}/map/{level}/{x}/{z}",
+    "/v1/{digest}/height/{x}/{z}",
+];
+
+/// A route of [`ANY_ORIGIN`]: answers preflights.
 pub fn any_origin(methods: MethodRouter<Arc<ServerState>>) -> MethodRouter<Arc<ServerState>> {
-    methods.options(preflight).layer(map_response(allow))
+    methods.options(preflight)
 }
 
 async fn preflight() -> impl IntoResponse {
@@ -26,8 +36,14 @@ async fn preflight() -> impl IntoResponse {
     (StatusCode::NO_CONTENT, allowed)
 }
 
-/// Independent of `Origin`, so that caches need no `Vary`.
-async fn allow(mut response: Response) -> Response {
+/// Allows all origins on every response of [`ANY_ORIGIN`], rejections included. Independent of
+/// `Origin`, so that caches need no `Vary`.
+pub async fn allow(path: Option<MatchedPath>, request: Request, next: Next) -> Response {
+    let is_allowed = path.is_some_and(|path| ANY_ORIGIN.contains(&path.as_str()));
+    let mut response = next.run(request).await;
+    if !is_allowed {
+        return response;
+    }
     let headers = response.headers_mut();
     headers.insert(header::ACCESS_CONTROL_ALLOW_ORIGIN, HeaderValue::from_static("*"));
     // Headers that scripts may read in addition to the safelisted ones.

@@ -27,8 +27,11 @@ pub async fn get(
     };
     path::check_spelling(&uri, path::Query::None)?;
     path::check_world(&state, &digest)?;
-    let (Ok(x), Ok(z)) = (x.parse::<i32>(), z.parse::<i32>()) else {
-        return Err(Problem::new(ProblemKind::Malformed, "x and z must be whole metres"));
+    let (Some(x), Some(z)) = (path::number::<i32>(&x), path::number::<i32>(&z)) else {
+        return Err(Problem::new(
+            ProblemKind::Malformed,
+            "x and z must be whole metres in their shortest form",
+        ));
     };
     let half_m = WORLD_HALF / UNITS_PER_METRE;
     // No cell begins at the far border of the world.

@@ -25,7 +25,11 @@ pub async fn get(
     let representation = Representation {
         etag: etag(&tile.digest),
         content_type: "image/png",
-        cache_control: immutable_cache_control(state.gate.requires_token()),
+        cache_control: if request.has_style() {
+            immutable_cache_control(state.gate.requires_token())
+        } else {
+            "no-cache"
+        },
         body: tile.png,
     };
     Ok(representation.respond(&request.client.headers))

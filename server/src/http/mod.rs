@@ -80,6 +80,8 @@ pub fn router(state: Arc<ServerState>) -> Router {
         })
         .layer(middleware::from_fn_with_state(Arc::clone(&state), known_host))
         .layer(middleware::from_fn_with_state(Arc::clone(&state), count))
+        // Outside of both, so that a script can read their rejections.
+        .layer(middleware::from_fn(cors::allow))
         .with_state(state)
 }
 
@@ -116,7 +118,7 @@ struct RequestPlace<'a> {
 impl<'a> RequestPlace<'a> {
     fn take(state: &'a ServerState, client: Option<IpAddr>) -> Result<Self, Problem> {
         let Ok(permit) = state.request_permits.try_acquire() else {
-            return Err(Problem::new(ProblemKind::Overloaded, "too many requests at once, retry later"));
+            return Err(Problem::new(ProblemKind::TooManyRequests, "too many requests at once, retry later"));
         };
         let free = state.request_permits.available_permits();
         let Some(of_client) = state.requests_per_ip.try_acquire(client, free) else {

@@ -3,6 +3,7 @@
 use crate::http::client::Client;
 use crate::http::problem::{Problem, ProblemKind};
 use crate::limits::rate_limit::TokenBucket;
+use crate::map::tiles::STYLE;
 use crate::state::ServerState;
 use axum::extract::rejection::PathRejection;
 use axum::extract::{FromRequestParts, Path};
@@ -54,6 +55,11 @@ impl ChunkPathRequest {
         Ok((key, wait_for_tokens(state, self.client.address).await?))
     }
 
+    /// Whether the address names the style of a tile: one without it may have another tile later.
+    pub fn has_style(&self) -> bool {
+        self.uri.query().is_some()
+    }
+
     /// The chunk key of an authorised request's path.
     fn chunk_key(&self, state: &ServerState, suffix: &str, query: Query) -> Result<ChunkKey, Problem> {
         self.client.authorise(state)?;
@@ -85,7 +91,7 @@ fn key_of(level: &str, x: &str, z: &str, suffix: &str) -> Result<ChunkKey, Probl
 pub enum Query {
     /// None.
     None,
-    /// None, or `style=N`.
+    /// None, or `style=N` with this server's style.
     Style,
 }
 
@@ -93,7 +99,7 @@ pub enum Query {
 /// under `/0` and `/%30`, and under any number of queries.
 ///
 /// # Errors
-/// Percent-encoding, which no part of these paths needs, or another query.
+/// Percent-encoding, which no part of these paths needs, or another query or style.
 pub fn check_spelling(uri: &Uri, query: Query) -> Result<(), Problem> {
     if uri.path().contains('%') {
         let detail = "the path must not be percent-encoded: it has letters, digits, `-` and `.` only";
@@ -101,13 +107,15 @@ pub fn check_spelling(uri: &Uri, query: Query) -> Result<(), Problem> {
     }
     let detail = match (query, uri.query()) {
         (_, None) => return Ok(()),
-        (Query::Style, Some(given)) => {
-            let style = given.strip_prefix("style=").and_then(number::<u32>);
-            if style.is_some() {
-                return Ok(());
+        (Query::Style, Some(given)) => match given.strip_prefix("style=").and_then(number::<u32>) {
+            Some(STYLE) => return Ok(()),
+            // A replica of another version has it: a cache must not store this style under its URL.
+            Some(other) => {
+                let detail = format!("style {other} is not drawn here; this server has style {STYLE}");
+                return Err(Problem::new(ProblemKind::WrongStyle, detail));
             }
-            "a tile has no query but `style=N`, which /v1/world names"
-        }
+            None => "a tile has no query but `style=N`, which /v1/world names",
+        },
         (Query::None, Some(_)) => "this path has no query",
     };
     Err(Problem::new(ProblemKind::Malformed, detail))
@@ -115,7 +123,7 @@ pub fn check_spelling(uri: &Uri, query: Query) -> Result<(), Problem> {
 
 /// A number in its canonical form only: with `+1`, `01` and `-0` a cache would store one chunk
 /// under several URLs.
-fn number<N: FromStr + ToString>(text: &str) -> Option<N> {
+pub fn number<N: FromStr + ToString>(text: &str) -> Option<N> {
     text.parse().ok().filter(|number: &N| number.to_string() == text)
 }
 
@@ -149,5 +157,5 @@ async fn wait_for_tokens(state: &ServerState, client: Option<IpAddr>) -> Result<
 /// The problem document for a client whose bucket stays empty for too long.
 #[must_use]
 pub fn over_rate() -> Problem {
-    Problem::new(ProblemKind::Overloaded, "the rate limit of this address is exceeded, retry later")
+    Problem::new(ProblemKind::OverRate, "the rate limit of this address is exceeded, retry later")
 }

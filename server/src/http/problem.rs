@@ -20,6 +20,8 @@ pub enum ProblemKind {
     OutsideWorld,
     /// The digest of another world.
     WrongWorld,
+    /// Another style of the map than this server's.
+    WrongStyle,
     /// The token is missing, wrong or expired.
     Unauthorised,
     /// The address has presented too many wrong tokens.
@@ -34,8 +36,12 @@ pub enum ProblemKind {
     NotAnUpgrade,
     /// A handshake that violates RFC 6455 or offers no supported subprotocol.
     BadHandshake,
-    /// Chunks are requested faster than they can be generated, or over the rate limit.
+    /// Chunks are requested faster than they can be generated.
     Overloaded,
+    /// The rate limit of the client network is exceeded.
+    OverRate,
+    /// The server answers as many requests as it may at once.
+    TooManyRequests,
     /// The generation of a chunk failed.
     Failed,
     /// Too many map tiles are requested at once.
@@ -48,12 +54,13 @@ pub enum ProblemKind {
 
 impl ProblemKind {
     /// Every kind.
-    pub const ALL: [Self; 17] = [
+    pub const ALL: [Self; 20] = [
         Self::NoRoute,
         Self::WrongMethod,
         Self::Malformed,
         Self::OutsideWorld,
         Self::WrongWorld,
+        Self::WrongStyle,
         Self::Unauthorised,
         Self::TooManyGuesses,
         Self::UnknownHost,
@@ -62,6 +69,8 @@ impl ProblemKind {
         Self::NotAnUpgrade,
         Self::BadHandshake,
         Self::Overloaded,
+        Self::OverRate,
+        Self::TooManyRequests,
         Self::Failed,
         Self::MapBusy,
         Self::NoSession,
@@ -83,6 +92,7 @@ impl ProblemKind {
             Self::Malformed => "malformed",
             Self::OutsideWorld => "outside-world",
             Self::WrongWorld => "wrong-world",
+            Self::WrongStyle => "wrong-style",
             Self::Unauthorised => "unauthorised",
             Self::TooManyGuesses => "too-many-guesses",
             Self::UnknownHost => "unknown-host",
@@ -91,6 +101,8 @@ impl ProblemKind {
             Self::NotAnUpgrade => "not-an-upgrade",
             Self::BadHandshake => "bad-handshake",
             Self::Overloaded => "overloaded",
+            Self::OverRate => "over-rate",
+            Self::TooManyRequests => "too-many-requests",
             Self::Failed => "failed",
             Self::MapBusy => "map-busy",
             Self::NoSession => "no-session",
@@ -107,6 +119,7 @@ impl ProblemKind {
             Self::Malformed => "Malformed address",
             Self::OutsideWorld => "Outside the world",
             Self::WrongWorld => "Another world",
+            Self::WrongStyle => "Another style of the map",
             Self::Unauthorised => "Token required",
             Self::TooManyGuesses => "Too many wrong tokens from this address",
             Self::UnknownHost => "Unknown host name",
@@ -115,6 +128,8 @@ impl ProblemKind {
             Self::NotAnUpgrade => "Not a WebSocket request",
             Self::BadHandshake => "Bad WebSocket handshake",
             Self::Overloaded => "Overloaded",
+            Self::OverRate => "Rate limit exceeded",
+            Self::TooManyRequests => "Too many requests at once",
             Self::Failed => "Generation failed",
             Self::MapBusy => "Map is busy",
             Self::NoSession => "No free session",
@@ -126,7 +141,7 @@ impl ProblemKind {
     #[must_use]
     pub const fn status(self) -> StatusCode {
         match self {
-            Self::NoRoute | Self::OutsideWorld | Self::WrongWorld => StatusCode::NOT_FOUND,
+            Self::NoRoute | Self::OutsideWorld | Self::WrongWorld | Self::WrongStyle => StatusCode::NOT_FOUND,
             Self::WrongMethod => StatusCode::METHOD_NOT_ALLOWED,
             Self::Malformed | Self::BadHandshake => StatusCode::BAD_REQUEST,
             Self::Unauthorised => StatusCode::UNAUTHORIZED,
@@ -135,16 +150,22 @@ impl ProblemKind {
             Self::ForeignOrigin => StatusCode::FORBIDDEN,
             Self::PreconditionFailed => StatusCode::PRECONDITION_FAILED,
             Self::NotAnUpgrade => StatusCode::UPGRADE_REQUIRED,
-            Self::Overloaded | Self::Failed | Self::MapBusy | Self::NoSession | Self::AddressFull => {
-                StatusCode::SERVICE_UNAVAILABLE
-            }
+            Self::Overloaded
+            | Self::OverRate
+            | Self::TooManyRequests
+            | Self::Failed
+            | Self::MapBusy
+            | Self::NoSession
+            | Self::AddressFull => StatusCode::SERVICE_UNAVAILABLE,
         }
     }
 
     /// `Retry-After`, seconds.
     const fn retry_after(self) -> Option<&'static str> {
         match self {
-            Self::Overloaded | Self::Failed | Self::MapBusy => Some("1"),
+            Self::Overloaded | Self::OverRate | Self::TooManyRequests | Self::Failed | Self::MapBusy => {
+                Some("1")
+            }
             Self::NoSession | Self::AddressFull => Some("2"),
             Self::TooManyGuesses => Some("60"),
             _ => None,

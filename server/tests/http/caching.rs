@@ -24,7 +24,7 @@ const IMMUTABLE: &str = "public, max-age=31536000, immutable";
 #[tokio::test]
 async fn immutable_resources_have_a_strong_validator() {
     let server = Server::start().await;
-    for path in [server.path("chunk/2/-3/1"), server.path("map/3/0/-1.png")] {
+    for path in [server.path("chunk/2/-3/1"), server.path("map/3/0/-1.png?style=1")] {
         let first = server.get(&path).await;
         let etag = first.header("etag").to_owned();
         assert_eq!((first.status, first.header("cache-control")), (200, IMMUTABLE), "{path}");

@@ -46,8 +46,7 @@ fn the_section_of_http_names_the_routes_of_the_router() {
     assert_eq!(served.difference(&named).collect::<Vec<_>>(), Vec::<&&str>::new(), "not in the document");
     let gets = quoted(section).into_iter().filter(|name| name.starts_with("GET /")).map(path);
     let gets: BTreeSet<&str> = gets.collect();
-    // The upgrade is described in section 1.
-    assert_eq!(gets, &served - &BTreeSet::from(["/v1/stream"]));
+    assert_eq!(gets, served);
 }
 
 #[tokio::test]

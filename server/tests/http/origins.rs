@@ -35,6 +35,11 @@ async fn rejections_and_304_allow_all_origins_too() {
     assert_eq!((unchanged.status, unchanged.header("access-control-allow-origin")), (304, "*"));
     let refused = server.get(&server.path("chunk/99/0/0")).await;
     assert_eq!((refused.status, refused.header("access-control-allow-origin")), (404, "*"));
+    // Rejections before the route.
+    for (route, origin) in [(path.as_str(), "*"), ("/v1/live", "")] {
+        let misdirected = server.request("GET", route, &[("Host", "elsewhere.example")]).await;
+        assert_eq!((misdirected.status, misdirected.header("access-control-allow-origin")), (421, origin));
+    }
 }
 
 #[tokio::test]

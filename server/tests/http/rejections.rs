@@ -50,6 +50,10 @@ async fn an_invalid_path_is_rejected_with_its_kind_and_counted() {
         (server.path("map/0/0/0.png?style=1&x=1"), 400, "malformed", "style=N"),
         (server.path("map/0/0/0.png?style=01"), 400, "malformed", "style=N"),
         (server.path("map/0/0/0.png?style=%31"), 400, "malformed", "style=N"),
+        (server.path("map/0/0/0.png?style=0"), 404, "wrong-style", "this server has style 1"),
+        (server.path("map/0/0/0.png?style=2"), 404, "wrong-style", "this server has style 1"),
+        (server.path("height/+1/0"), 400, "malformed", "shortest form"),
+        (server.path("height/1/007"), 400, "malformed", "shortest form"),
         (capitals("chunk/0/0/0"), 400, "malformed", "lower case"),
         (capitals("map/0/0/0.png"), 400, "malformed", "lower case"),
         (capitals("height/0/0"), 400, "malformed", "lower case"),
@@ -74,7 +78,7 @@ async fn an_invalid_path_is_rejected_with_its_kind_and_counted() {
         assert_eq!(rejected(&server, kind).await, before + 1, "{path}");
     }
     // Other requests are not affected.
-    for path in ["chunk/0/0/0", "map/0/0/0.png", "map/0/0/0.png?style=0", "map/0/0/0.png?style=4294967295"] {
+    for path in ["chunk/0/0/0", "map/0/0/0.png", "map/0/0/0.png?style=1", "height/-7/0"] {
         assert_eq!(server.get(&server.path(path)).await.status, 200, "{path}");
     }
 }
@@ -125,7 +129,7 @@ async fn the_rate_limit_applies_on_an_idle_server() {
         assert!(served < 200, "the bucket is never empty");
     };
     assert!(served > 0);
-    assert_eq!((rejected.status, rejected.problem().as_str()), (503, "overloaded"));
+    assert_eq!((rejected.status, rejected.problem().as_str()), (503, "over-rate"));
     assert_eq!(rejected.header("retry-after"), "1");
     // If the bucket has refilled meanwhile, the first tiles empty it.
     let mut tile = server.get(&server.path("map/4/9/9.png")).await;
@@ -135,7 +139,7 @@ async fn the_rate_limit_applies_on_an_idle_server() {
         }
         tile = server.get(&server.path(&format!("map/4/{x}/9.png"))).await;
     }
-    assert_eq!((tile.status, tile.problem().as_str()), (503, "overloaded"), "tiles are charged too");
+    assert_eq!((tile.status, tile.problem().as_str()), (503, "over-rate"), "tiles are charged too");
     assert!(server.metric("tombolo_rate_limited_total{outcome=\"rejected\"}").await >= 2.0);
     assert_eq!(server.get("/v1/world").await.status, 200, "other routes are not limited");
 

@@ -232,9 +232,10 @@ mod tests {
             value.trim_end_matches(';').parse().unwrap()
         };
         assert_eq!(number("worker_rlimit_nofile "), 2 * number("worker_connections "));
-        // The metric of the limit, and the limit of an address.
-        assert_eq!(number("nginx_connections_limit "), number("worker_connections "));
-        assert_eq!(4 * number("limit_conn addresses "), number("worker_connections "));
+        // A client takes two connections, one of its own and one to a replica. The metric has the
+        // clients of one worker; one address gets a quarter of them.
+        assert_eq!(2 * number("nginx_connections_limit "), number("worker_connections "));
+        assert_eq!(4 * 2 * number("limit_conn addresses "), number("worker_connections "));
     }
 
     /// With no mark between address and style, `1/2?style=3` and `1/23` would share an answer.
