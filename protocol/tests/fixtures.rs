@@ -20,7 +20,7 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 use std::fmt::Debug;
 use std::path::PathBuf;
-use terrain::{ChunkKey, Land};
+use terrain::{Chunk, ChunkKey, Land};
 
 fn path(name: &str) -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("fixtures").join(format!("{name}.hex"))
@@ -193,4 +193,22 @@ fn chunks_with_heights_are_frozen() {
     (0..=255).for_each(|block: u8| meadow.grass.density[usize::from(block)] = block);
     let bytes = frozen("chunk_meadow", &chunk_codec::encode(&meadow, &world));
     assert_eq!(chunk_codec::decode(&bytes, &world), Ok(meadow));
+}
+
+/// The page for authors of other implementations has the digests that their decoders must find.
+#[test]
+fn the_page_of_the_fixtures_has_their_digests() {
+    let page = include_str!("../fixtures/README.md");
+    let land = Land::new(42);
+    let chunk = land.chunk(ChunkKey::new(2, -3, 1).unwrap());
+    let coarse = quantised::quantise(&chunk, Tolerance::new(16).unwrap()).unwrap();
+    let child = land.chunk(chunk.key.children().unwrap()[2]);
+    assert_eq!(child.key, ChunkKey::new(1, -6, 3).unwrap());
+    let of_heights = |chunk: &Chunk| {
+        let bytes: Vec<u8> = chunk.heights.iter().flat_map(|height| height.to_le_bytes()).collect();
+        blake3::hash(&bytes).to_string()
+    };
+    let digests = [land.digest().to_string(), of_heights(&chunk), of_heights(&coarse), of_heights(&child)];
+    let absent: Vec<_> = digests.iter().filter(|digest| !page.contains(digest.as_str())).collect();
+    assert!(absent.is_empty(), "of the world and of three chunks the page lacks {absent:#?}");
 }
