@@ -2,14 +2,18 @@
 //!
 //! The targets are those of the package `fuzz`, built by cargo-fuzz. They start from the valid
 //! inputs of `entry-points` and from what earlier runs left in `target/fuzz/corpus`: what one run
-//! found, the next need not find again. Hours; `TOMBOLO_FUZZ_TARGETS` selects targets by their
-//! names, with commas between them, and `TOMBOLO_FUZZ_SECONDS` limits each one's time. What then
-//! falls short of the executions misses its bar.
+//! found, the next need not find again. Half a day; `TOMBOLO_FUZZ_TARGETS` selects targets by their
+//! names, with commas between them, and `TOMBOLO_FUZZ_SECONDS` limits each one's time. A run adds
+//! its executions to those that `runs.csv` has of the same code, so that several short runs make a
+//! whole one. What falls short of the executions misses its bar.
+
+mod earlier;
 
 use super::run::Run;
 use crate::process;
 use anyhow::{Context, Result, bail};
 use bars::Bar;
+use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
@@ -24,22 +28,41 @@ const SESSIONS: u64 = 1_000_000;
 /// Executions of a target whose input is a file on the disk.
 const FILES: u64 = 10_000_000;
 
-/// The entry points, by the names of their targets, with their executions. The slowest ones come
-/// first, so that no core waits for them at the end.
-const TARGETS: [(&str, u64); 12] = [
-    ("client_session", SESSIONS),
-    ("chunk", EXECUTIONS),
-    ("http", EXECUTIONS),
-    ("configuration", EXECUTIONS),
-    ("tokens", FILES),
-    ("uniforms", EXECUTIONS),
-    ("websocket", EXECUTIONS),
-    ("server_session", SESSIONS),
-    ("control", EXECUTIONS),
-    ("proxy", EXECUTIONS),
-    ("address", EXECUTIONS),
-    ("pack", EXECUTIONS),
+/// An entry point.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Target {
+    name: &'static str,
+    /// Executions that its bar requires.
+    executions: u64,
+    /// The code that it calls beside [`COMMON`]: paths from the root.
+    code: &'static [&'static str],
+}
+
+/// The code that all targets call.
+const COMMON: [&str; 5] = ["terrain", "protocol", "entry-points", "fuzz", "rust-toolchain.toml"];
+
+const PROTOCOL: &[&str] = &[];
+const SERVER: &[&str] = &["server"];
+const CLIENT: &[&str] = &["client", "shaders"];
+
+/// The targets. The slowest ones come first, so that no core waits for them at the end.
+const TARGETS: [Target; 12] = [
+    Target { name: "configuration", executions: EXECUTIONS, code: SERVER },
+    Target { name: "client_session", executions: SESSIONS, code: PROTOCOL },
+    Target { name: "chunk", executions: EXECUTIONS, code: PROTOCOL },
+    Target { name: "http", executions: EXECUTIONS, code: SERVER },
+    Target { name: "tokens", executions: FILES, code: SERVER },
+    Target { name: "uniforms", executions: EXECUTIONS, code: CLIENT },
+    Target { name: "websocket", executions: EXECUTIONS, code: SERVER },
+    Target { name: "server_session", executions: SESSIONS, code: PROTOCOL },
+    Target { name: "control", executions: EXECUTIONS, code: PROTOCOL },
+    Target { name: "proxy", executions: EXECUTIONS, code: SERVER },
+    Target { name: "address", executions: EXECUTIONS, code: SERVER },
+    Target { name: "pack", executions: EXECUTIONS, code: SERVER },
 ];
+
+/// Row of the faults that a run found.
+const FAULTS: &str = "targets with a fault";
 
 /// The target with a fault that must be found.
 const PLANTED: &str = "planted";
@@ -51,7 +74,7 @@ const PLANTED_EXECUTIONS: u64 = 50_000_000;
 /// here, which takes over ten seconds with assertions and coverage.
 const TIMEOUT: &str = "-timeout=120";
 
-/// Result of one target.
+/// Result of one target in this run.
 #[derive(Clone, Debug)]
 struct Searched {
     target: &'static str,
@@ -67,6 +90,7 @@ struct Searched {
 pub fn rows(run: &mut Run) -> Result<Vec<Bar>> {
     // Before the build: an unknown name costs no time.
     let selected = selected()?;
+    let earlier = earlier::executions().context("the earlier runs cannot be read")?;
     let folder = process::target().join("fuzz");
     build(&folder)?;
     let mut seeds = process::cargo("run --quiet --example seeds --");
@@ -75,7 +99,8 @@ pub fn rows(run: &mut Run) -> Result<Vec<Bar>> {
     clear(&folder, PLANTED)?;
     let planted = search(run, &folder, PLANTED, PLANTED_EXECUTIONS)?;
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
-    let waiting = Mutex::new(selected.iter());
+    let left = left(&selected, &earlier);
+    let waiting = Mutex::new(left.iter());
     let found = Mutex::new(Vec::new());
     let next = || waiting.lock().ok()?.next().copied();
     let run_here = &*run;
@@ -93,44 +118,62 @@ pub fn rows(run: &mut Run) -> Result<Vec<Bar>> {
             Err(_) => bail!("a search panicked"),
         })
     })?;
-    let mut found = found.into_inner().unwrap_or_default();
-    found.sort_by_key(|one| TARGETS.iter().position(|(target, _)| *target == one.target));
+    let found = found.into_inner().unwrap_or_default();
     run.notes.push(
         "libFuzzer through cargo-fuzz without a sanitizer, release build with debug assertions; each \
          target starts from the valid inputs of its entry point and from the inputs that earlier runs on \
          this machine found; the one with the planted fault starts from nothing."
             .into(),
     );
-    Ok(bars_of(&planted, &found))
+    for searched in &found {
+        let executions = searched.executions.unwrap_or(0.0);
+        run.notes.push(format!("{}: {executions:.0} executions of the last run.", searched.target));
+    }
+    Ok(bars_of(&planted, &found, &earlier))
 }
 
 /// The targets to run: all, or those of `TOMBOLO_FUZZ_TARGETS`.
-fn selected() -> Result<Vec<(&'static str, u64)>> {
+fn selected() -> Result<Vec<Target>> {
     std::env::var("TOMBOLO_FUZZ_TARGETS").map_or_else(|_| Ok(TARGETS.into()), |names| named(&names))
 }
 
 /// The targets of a list of names.
-fn named(names: &str) -> Result<Vec<(&'static str, u64)>> {
+fn named(names: &str) -> Result<Vec<Target>> {
     let of = |name: &str| {
-        let found = TARGETS.iter().find(|(target, _)| *target == name).copied();
+        let found = TARGETS.into_iter().find(|target| target.name == name);
         found.with_context(|| format!("TOMBOLO_FUZZ_TARGETS: there is no target `{name}`"))
     };
     names.split(',').map(of).collect()
 }
 
+/// Targets and the executions that they still lack; without those that lack none.
+fn left(selected: &[Target], earlier: &BTreeMap<&str, f64>) -> Vec<(&'static str, u64)> {
+    let lacks = |target: &Target| {
+        let executed = earlier.get(target.name).map_or(0, |executions| *executions as u64);
+        (target.name, target.executions.saturating_sub(executed))
+    };
+    selected.iter().map(lacks).filter(|(_, executions)| *executions > 0).collect()
+}
+
+/// The name of the row of a target.
+fn row(target: &str) -> String {
+    format!("{target}: executions")
+}
+
 /// The rows. Without the planted fault nothing counts.
-fn bars_of(planted: &Searched, found: &[Searched]) -> Vec<Bar> {
+fn bars_of(planted: &Searched, found: &[Searched], earlier: &BTreeMap<&str, f64>) -> Vec<Bar> {
     let can_find = planted.has_fault;
     let mut rows: Vec<_> = TARGETS
         .iter()
-        .map(|(target, wanted)| {
-            let searched = found.iter().find(|one| one.target == *target);
-            let executions = searched.and_then(|one| one.executions).filter(|_| can_find);
-            Bar::at_least(format!("{target}: executions"), executions, "", *wanted as f64)
+        .map(|target| {
+            let before = earlier.get(target.name).copied();
+            let now = found.iter().find(|one| one.target == target.name).and_then(|one| one.executions);
+            let executions = now.map(|now| now + before.unwrap_or(0.0)).or(before).filter(|_| can_find);
+            Bar::at_least(row(target.name), executions, "", target.executions as f64)
         })
         .collect();
     let faults = found.iter().filter(|one| one.has_fault).count() as f64;
-    rows.push(Bar::none("targets with a fault", (can_find && !found.is_empty()).then_some(faults)));
+    rows.push(Bar::none(FAULTS, can_find.then_some(faults)));
     rows
 }
 
@@ -208,24 +251,40 @@ mod tests {
     }
 
     fn missed(planted: bool, found: &[Searched]) -> usize {
-        let rows = bars_of(&searched(PLANTED, 1.0, planted), found);
+        let rows = bars_of(&searched(PLANTED, 1.0, planted), found, &BTreeMap::new());
         assert_eq!(rows.len(), TARGETS.len() + 1);
         rows.iter().filter(|row| row.is_missed()).count()
     }
 
     #[test]
     fn a_search_counts_only_whole_and_only_if_the_planted_fault_was_found() {
-        let whole: Vec<_> = TARGETS.map(|(target, wanted)| searched(target, wanted as f64, false)).into();
+        let whole: Vec<_> =
+            TARGETS.map(|target| searched(target.name, target.executions as f64, false)).into();
         assert_eq!(missed(true, &whole), 0);
         assert_eq!(missed(false, &whole), TARGETS.len() + 1);
         assert_eq!(missed(true, &whole[1..]), 1);
-        assert_eq!(missed(true, &[]), TARGETS.len() + 1);
+        assert_eq!(missed(true, &[]), TARGETS.len());
         let mut short = whole.clone();
         short[0].executions = short[0].executions.map(|wanted| wanted - 1.0);
         assert_eq!(missed(true, &short), 1);
         let mut faulty = whole;
         faulty[3].has_fault = true;
         assert_eq!(missed(true, &faulty), 1);
+    }
+
+    #[test]
+    fn a_run_adds_to_the_earlier_ones_and_does_only_what_is_left() {
+        let earlier = BTreeMap::from([("chunk", 6e7), ("pack", 1e8)]);
+        let selected = named("chunk,pack,tokens").unwrap();
+        assert_eq!(left(&selected, &earlier), [("chunk", 40_000_000), ("tokens", FILES)]);
+        let found = [searched("chunk", 4e7, false), searched("tokens", 1.0, false)];
+        let rows = bars_of(&searched(PLANTED, 1.0, true), &found, &earlier);
+        let of = |target: &str| rows.iter().find(|found| found.name == row(target)).unwrap();
+        assert!(["chunk", "pack"].into_iter().all(|target| of(target).is_met()));
+        assert_eq!(of("tokens").figure, Some(1.0).into());
+        assert!(of("http").is_missed());
+        let uncounted = bars_of(&searched(PLANTED, 1.0, false), &found, &earlier);
+        assert!(uncounted.iter().all(Bar::is_missed), "without the planted fault nothing counts");
     }
 
     #[test]
@@ -237,7 +296,8 @@ mod tests {
 
     #[test]
     fn only_known_targets_are_selected() {
-        assert_eq!(named("pack,chunk").unwrap(), [("pack", EXECUTIONS), ("chunk", EXECUTIONS)]);
+        let names: Vec<_> = named("pack,chunk").unwrap().iter().map(|target| target.name).collect();
+        assert_eq!(names, ["pack", "chunk"]);
         for unknown in ["", "chunks", "pack,", "pack, chunk", PLANTED] {
             assert!(named(unknown).unwrap_err().to_string().contains("TOMBOLO_FUZZ_TARGETS"), "{unknown}");
         }
@@ -264,7 +324,7 @@ mod tests {
     #[test]
     fn every_entry_point_is_a_target() {
         let listed = fs::read_to_string(process::root().join("entry-points/src/lib.rs")).unwrap();
-        for (target, _) in TARGETS {
+        for target in TARGETS.map(|target| target.name) {
             assert!(listed.contains(&format!("name: \"{target}\"")), "{target}");
             assert!(process::root().join("fuzz/fuzz_targets").join(format!("{target}.rs")).is_file());
         }

@@ -14,7 +14,7 @@ use record::Record;
 use std::collections::BTreeMap;
 use std::fmt::Write;
 
-pub use stale::lacks_history;
+pub use stale::{has_code_of, lacks_history};
 
 /// Options of `records`.
 #[derive(Clone, Debug, Default, clap::Args)]
@@ -140,6 +140,12 @@ pub fn of(name: &str) -> Result<Vec<Record>> {
 #[cfg(test)]
 pub fn is_known(name: &str) -> bool {
     stale::measured(name).is_some()
+}
+
+/// Whether a change of a path makes the records of a measurement out of date.
+#[cfg(test)]
+pub fn measures(name: &str, path: &str) -> bool {
+    stale::measured(name).is_some_and(|paths| paths.contains(&path))
 }
 
 /// Writes the page of all records.

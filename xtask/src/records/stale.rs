@@ -7,7 +7,7 @@
 
 use crate::process;
 use crate::test_modules::have_equal_code;
-use anyhow::Result;
+use anyhow::{Result, bail};
 
 /// What decides the figures of every measurement: the bars and figures of reports, and the median
 /// of the runs. `xtask/src/measure/mod.rs` is left out, though it has the sample sizes of the
@@ -128,7 +128,20 @@ const MEASURED: [(&str, &[&str]); 17] = [
             "xtask/src/measure/streaming.rs",
         ],
     ),
-    ("fuzz", &["terrain", "protocol", "server", "entry-points", "fuzz", "xtask/src/measure/fuzz.rs"]),
+    (
+        "fuzz",
+        &[
+            "terrain",
+            "protocol",
+            "server",
+            "client",
+            "shaders",
+            "entry-points",
+            "fuzz",
+            "xtask/src/measure/fuzz.rs",
+            "xtask/src/measure/fuzz",
+        ],
+    ),
     (
         "websocket",
         &[
@@ -310,6 +323,26 @@ fn why_shallow(said: Result<String>) -> Option<String> {
 /// Why a record no longer speaks of this working tree; none if it does.
 pub fn reason(name: &str, commit: &str) -> Option<String> {
     let Some(paths) = measured(name) else { return Some(format!("nothing is known of `{name}`")) };
+    match changed(&paths, commit, !OF_TESTS.contains(&name)) {
+        Ok(changed) => {
+            let counts = |path: &&String| ages_with_text(name) || !keeps_code(commit, path);
+            let count = changed.iter().filter(counts).count();
+            (count > 0).then(|| format!("{count} measured files changed since"))
+        }
+        Err(why) => Some(format!("{why:#}")),
+    }
+}
+
+/// Whether the code in some paths is that of a commit. Tests and comments do not count.
+pub fn has_code_of(paths: &[&str], commit: &str) -> bool {
+    changed(paths, commit, true).is_ok_and(|files| files.iter().all(|file| keeps_code(commit, file)))
+}
+
+/// Files in some paths that differ from those of a commit, with tests or without.
+///
+/// # Errors
+/// The commit does not exist, or git fails.
+fn changed(paths: &[&str], commit: &str, without_tests: bool) -> Result<Vec<String>> {
     let git = |args: &[&str]| {
         let mut git = process::command("git");
         git.args(args);
@@ -317,18 +350,11 @@ pub fn reason(name: &str, commit: &str) -> Option<String> {
     };
     let resolved = format!("{commit}^{{commit}}");
     if commit.is_empty() || !process::succeeds(git(&["rev-parse", "--verify", "--quiet", &resolved])) {
-        return Some(format!("its commit `{commit}` does not exist"));
+        bail!("its commit `{commit}` does not exist");
     }
     let mut diff = git(&["diff", "--name-only", commit, "--"]);
-    diff.args(paths).args(NO_FIGURES).args(TESTS.iter().filter(|_| !OF_TESTS.contains(&name)));
-    match process::output(diff) {
-        Ok(changed) => {
-            let counts = |path: &&str| ages_with_text(name) || !keeps_code(commit, path);
-            let count = changed.lines().filter(counts).count();
-            (count > 0).then(|| format!("{count} measured files changed since"))
-        }
-        Err(why) => Some(format!("{why:#}")),
-    }
+    diff.args(paths).args(NO_FIGURES).args(TESTS.iter().filter(|_| without_tests));
+    Ok(process::output(diff)?.lines().map(str::to_owned).collect())
 }
 
 /// Whether tests and comments decide figures of a measurement.

@@ -1,0 +1,109 @@
+//! The executions of earlier runs, which count while the code that they called is the same.
+
+use super::{COMMON, FAULTS, TARGETS, row};
+use crate::measure::runs::{FILE, Runs};
+use crate::process;
+use crate::records::{self, record::FOLDER};
+use anyhow::{Context, Result};
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
+use std::path::Path;
+
+/// Name of the measurement in `runs.csv`.
+const NAME: &str = "fuzz";
+
+/// Length of the date at the start of a folder's name, and of the hyphen behind it.
+const DATE: usize = "2026-01-02-".len();
+
+/// The executions by their targets, on any machine.
+///
+/// # Errors
+/// A file of runs cannot be read.
+pub fn executions() -> Result<BTreeMap<&'static str, f64>> {
+    let runs = by_commit(&process::root().join(FOLDER))?;
+    let mut executions = BTreeMap::new();
+    for target in TARGETS {
+        let code: Vec<_> = COMMON.iter().chain(target.code).copied().collect();
+        let is_same = |commit: &str| records::has_code_of(&code, commit);
+        if let Some(executed) = executed(target.name, &runs, is_same) {
+            executions.insert(target.name, executed);
+        }
+    }
+    Ok(executions)
+}
+
+/// The executions of a target in the run with most of those of the same code: each run has those
+/// of the runs before it. A commit with a fault, or without the planted one, counts for nothing.
+fn executed(target: &str, runs: &[(String, Runs)], is_same: impl Fn(&str) -> bool) -> Option<f64> {
+    let is_faulty = |runs: &Runs| runs.of(FAULTS).figures.iter().any(|faults| *faults != 0.0);
+    let faulty: BTreeSet<_> =
+        runs.iter().filter(|(_, runs)| is_faulty(runs)).map(|(commit, _)| commit).collect();
+    let counts = |commit: &String| !faulty.contains(commit) && is_same(commit);
+    let counted = runs.iter().filter(|(commit, _)| counts(commit));
+    let executed = counted.flat_map(|(_, runs)| runs.of(&row(target)).figures);
+    executed.filter(|executions| executions.is_finite()).max_by(f64::total_cmp)
+}
+
+/// The runs on all days, by their commits and machines.
+fn by_commit(days: &Path) -> Result<Vec<(String, Runs)>> {
+    let mut of = BTreeSet::new();
+    for day in fs::read_dir(days).with_context(|| format!("cannot read {}", days.display()))? {
+        let day = day?;
+        let (name, file) = (day.file_name(), day.path().join(FILE));
+        let Some(machine) = name.to_str().and_then(|name| name.get(DATE..)) else { continue };
+        if !file.exists() {
+            continue;
+        }
+        let text = fs::read_to_string(&file).with_context(|| format!("cannot read {}", file.display()))?;
+        let commits =
+            text.lines().filter_map(|line| line.strip_prefix(NAME)?.strip_prefix(',')?.split(',').next());
+        of.extend(commits.map(|commit| (machine.to_owned(), commit.to_owned())));
+    }
+    let mut runs = Vec::new();
+    for (machine, commit) in of {
+        runs.push((commit.clone(), Runs::of_machine(days, &machine, NAME, Some(&commit))?));
+    }
+    Ok(runs)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::measure::runs;
+    use bars::Bar;
+
+    #[test]
+    fn executions_of_earlier_runs_of_the_same_code_count_unless_a_fault_was_found() {
+        let folder = std::env::temp_dir().join(format!("tombolo-fuzz-runs-{}", std::process::id()));
+        let add = |machine: &str, commit: &str, executions, faults| {
+            let day = folder.join("2026-01-02-".to_owned() + machine);
+            fs::create_dir_all(&day).unwrap();
+            let rows = [Bar::at_least(row("chunk"), executions, "", 100.0), Bar::none(FAULTS, faults)];
+            runs::append(&day.join(FILE), NAME, commit, &rows).unwrap();
+        };
+        add("x", "a", Some(30.0), Some(0.0));
+        add("x", "a", Some(50.0), Some(0.0));
+        add("x", "b", None, Some(0.0));
+        add("y", "a", Some(55.0), Some(0.0));
+        add("x", "other", Some(90.0), Some(0.0));
+        let before = |is_same: fn(&str) -> bool| executed("chunk", &by_commit(&folder).unwrap(), is_same);
+        assert_eq!(before(|commit| commit != "other"), Some(55.0));
+        assert_eq!(before(|_| true), Some(90.0));
+        assert_eq!(before(|_| false), None);
+        add("x", "a", Some(60.0), Some(1.0));
+        assert_eq!(before(|commit| commit != "other"), None, "a fault, whatever the machine");
+        add("x", "other", Some(95.0), None);
+        assert_eq!(before(|_| true), None, "the planted fault was not found");
+        fs::remove_dir_all(folder).unwrap();
+    }
+
+    #[test]
+    fn the_code_of_every_target_exists_and_makes_its_record_stale() {
+        for target in TARGETS {
+            for path in COMMON.iter().chain(target.code) {
+                assert!(process::root().join(path).exists(), "{path}");
+                assert!(records::measures("fuzz", path), "{path}");
+            }
+        }
+    }
+}
