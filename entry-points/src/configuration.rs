@@ -2,12 +2,16 @@
 
 use crate::is_accepted;
 use clap::Parser;
+use server::ServerConfig;
 use server::config::{Args, Options, parse_file};
 use std::sync::LazyLock;
 
 /// A program started without options.
 static ARGS: LazyLock<Args> =
     LazyLock::new(|| Args::try_parse_from(["tombolo-server"]).expect("valid arguments"));
+
+/// What a program takes for absent options.
+static DEFAULTS: LazyLock<ServerConfig> = LazyLock::new(ServerConfig::default);
 
 /// Resolves a configuration. An error is one line.
 ///
@@ -19,7 +23,7 @@ pub fn run(bytes: &[u8]) -> bool {
     let resolved = parse_file(text, "input").and_then(|options| {
         // A named file would be read, and a device without an end to its end.
         let without_files = Options { token_file: None, tls_cert: None, tls_key: None, ..options };
-        ARGS.clone().resolve_over(without_files)
+        ARGS.clone().resolve_with(without_files, DEFAULTS.clone())
     });
     is_accepted(&resolved)
 }

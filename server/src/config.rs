@@ -187,8 +187,16 @@ impl Args {
     /// # Errors
     /// A value out of range, or a file named by an option that cannot be read.
     pub fn resolve_over(self, file: Options) -> Result<ServerConfig, UsageError> {
+        self.resolve_with(file, ServerConfig::default())
+    }
+
+    /// As [`Args::resolve_over`], with known defaults: some of [`ServerConfig::default`] take reads
+    /// of the system.
+    ///
+    /// # Errors
+    /// As [`Args::resolve_over`].
+    pub fn resolve_with(self, file: Options, defaults: ServerConfig) -> Result<ServerConfig, UsageError> {
         let (given, file) = (self.options.without_empty(), file.without_empty());
-        let defaults = ServerConfig::default();
         let listen: SocketAddr = match given.listen.or(file.listen) {
             Some(text) => text.parse().map_err(|_| {
                 UsageError::new(format!(

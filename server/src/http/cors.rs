@@ -5,24 +5,15 @@
 //! preflight has to name because `*` does not include it.
 
 use crate::state::ServerState;
-use axum::extract::{MatchedPath, Request};
+use axum::extract::{MatchedPath, Request, State};
 use axum::http::{HeaderValue, StatusCode, header};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use axum::routing::MethodRouter;
 use std::sync::Arc;
 
-/// The routes that allow all origins.
-pub const ANY_ORIGIN: [&str; 5] = [
-    "/openapi.json",
-    "/v1/world",
-    "/v1/{digest}/chunk/{level}/{x}/{z}",
-    "/v1/{digest}/map/{level}/{x}/{z}",
-    "/v1/{digest}/height/{x}/{z}",
-];
-
-/// A route of [`ANY_ORIGIN`]: answers preflights.
-pub fn any_origin(methods: MethodRouter<Arc<ServerState>>) -> MethodRouter<Arc<ServerState>> {
+/// The methods of a route that allows all origins: with preflights.
+pub fn with_preflight(methods: MethodRouter<Arc<ServerState>>) -> MethodRouter<Arc<ServerState>> {
     methods.options(preflight)
 }
 
@@ -36,10 +27,15 @@ async fn preflight() -> impl IntoResponse {
     (StatusCode::NO_CONTENT, allowed)
 }
 
-/// Allows all origins on every response of [`ANY_ORIGIN`], rejections included. Independent of
+/// Allows all origins on every response of some routes, rejections included. Independent of
 /// `Origin`, so that caches need no `Vary`.
-pub async fn allow(path: Option<MatchedPath>, request: Request, next: Next) -> Response {
-    let is_allowed = path.is_some_and(|path| ANY_ORIGIN.contains(&path.as_str()));
+pub async fn allow(
+    State(paths): State<Arc<[&'static str]>>,
+    path: Option<MatchedPath>,
+    request: Request,
+    next: Next,
+) -> Response {
+    let is_allowed = path.is_some_and(|path| paths.contains(&path.as_str()));
     let mut response = next.run(request).await;
     if !is_allowed {
         return response;

@@ -31,40 +31,72 @@ use axum::http::{HeaderValue, Method, StatusCode, header};
 use axum::middleware::{self, Next};
 use axum::response::{IntoResponse, Response};
 use axum::routing::{MethodRouter, any, get};
-use cors::any_origin;
 use problem::{Problem, ProblemKind};
 use std::net::IpAddr;
 use std::sync::Arc;
 use tokio::sync::SemaphorePermit;
 
-/// All routes of a server, in the order of the document.
-pub fn routes() -> Vec<(&'static str, MethodRouter<Arc<ServerState>>)> {
-    vec![
-        ("/", same_origin(get(page::index))),
-        ("/page/{name}", same_origin(get(page::file))),
-        ("/openapi.json", any_origin(get(openapi::get))),
-        ("/v1/world", any_origin(get(world::get))),
-        ("/v1/{digest}/chunk/{level}/{x}/{z}", any_origin(get(chunk::get))),
-        ("/v1/{digest}/map/{level}/{x}/{z}", any_origin(get(map::get))),
-        ("/v1/{digest}/height/{x}/{z}", any_origin(get(height::get))),
-        ("/v1/live", same_origin(get(live::get))),
-        ("/v1/stream", any(session::stream)),
-        ("/livez", same_origin(get(health::livez))),
-        ("/readyz", same_origin(get(health::readyz))),
-        ("/metrics", same_origin(get(health::metrics))),
-    ]
+/// A route of a server.
+#[derive(Clone, Debug)]
+pub struct Route {
+    /// Pattern of its paths.
+    pub path: &'static str,
+    /// Whose scripts may read its responses.
+    pub origins: Origins,
+    methods: MethodRouter<Arc<ServerState>>,
 }
 
-/// A route for the same origin only.
-fn same_origin(methods: MethodRouter<Arc<ServerState>>) -> MethodRouter<Arc<ServerState>> {
-    methods.options(|| async { (StatusCode::NO_CONTENT, [(header::ALLOW, "GET, HEAD, OPTIONS")]) })
+/// The origins whose scripts may read the responses of a route.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Origins {
+    /// The server's own page.
+    Same,
+    /// Every page.
+    Any,
+    /// Those that the operator allows; the route checks `Origin` itself.
+    Allowed,
+}
+
+impl Route {
+    /// A route with the answer to OPTIONS that its origins need.
+    fn new(path: &'static str, origins: Origins, methods: MethodRouter<Arc<ServerState>>) -> Self {
+        let methods = match origins {
+            Origins::Any => cors::with_preflight(methods),
+            Origins::Same => methods
+                .options(|| async { (StatusCode::NO_CONTENT, [(header::ALLOW, "GET, HEAD, OPTIONS")]) }),
+            Origins::Allowed => methods,
+        };
+        Self { path, origins, methods }
+    }
+}
+
+/// All routes of a server, in the order of the document.
+pub fn routes() -> Vec<Route> {
+    use Origins::{Allowed, Any, Same};
+    vec![
+        Route::new("/", Same, get(page::index)),
+        Route::new("/page/{name}", Same, get(page::file)),
+        Route::new("/openapi.json", Any, get(openapi::get)),
+        Route::new("/v1/world", Any, get(world::get)),
+        Route::new("/v1/{digest}/chunk/{level}/{x}/{z}", Any, get(chunk::get)),
+        Route::new("/v1/{digest}/map/{level}/{x}/{z}", Any, get(map::get)),
+        Route::new("/v1/{digest}/height/{x}/{z}", Any, get(height::get)),
+        Route::new("/v1/live", Same, get(live::get)),
+        Route::new("/v1/stream", Allowed, any(session::stream)),
+        Route::new("/livez", Same, get(health::livez)),
+        Route::new("/readyz", Same, get(health::readyz)),
+        Route::new("/metrics", Same, get(health::metrics)),
+    ]
 }
 
 /// The router of a server.
 pub fn router(state: Arc<ServerState>) -> Router {
     state.metrics.limits.declare_http_rejections(ProblemKind::ALL.map(ProblemKind::name));
+    let routes = routes();
+    let any_origin = routes.iter().filter(|route| route.origins == Origins::Any);
+    let any_origin: Arc<[_]> = any_origin.map(|route| route.path).collect();
     let mut router = Router::new();
-    for (path, methods) in routes() {
+    for Route { path, methods, .. } in routes {
         router = router.route(path, methods);
     }
     router
@@ -81,7 +113,7 @@ pub fn router(state: Arc<ServerState>) -> Router {
         .layer(middleware::from_fn_with_state(Arc::clone(&state), known_host))
         .layer(middleware::from_fn_with_state(Arc::clone(&state), count))
         // Outside of both, so that a script can read their rejections.
-        .layer(middleware::from_fn(cors::allow))
+        .layer(middleware::from_fn_with_state(any_origin, cors::allow))
         .with_state(state)
 }
 

@@ -1,5 +1,6 @@
 //! Why sessions end.
 
+use crate::open_sessions::Ending;
 use protocol::CloseCode;
 use std::io;
 use std::time::Duration;
@@ -164,6 +165,15 @@ pub struct SessionEnd {
 }
 
 impl SessionEnd {
+    /// The end of a session that has done nothing wrong.
+    pub fn by_server(ending: Ending) -> Self {
+        match ending {
+            // Without a Close frame, whose answer would keep the memory.
+            Ending::Memory => Self::without_code(EndReason::MemoryShed),
+            Ending::Displaced => Self::with_code(EndReason::Displaced, CloseCode::GoingAway),
+        }
+    }
+
     /// An end with a close frame.
     #[must_use]
     pub fn with_code(reason: EndReason, code: CloseCode) -> Self {

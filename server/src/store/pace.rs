@@ -28,9 +28,12 @@ const MAX_LOSS: i64 = 100_000_000;
 /// One late answer among this many in time stops nothing: it is beyond the 99th percentile.
 const LATE_PART: u32 = 256;
 
-/// Failures in a row after which the store counts as failing, and invalid objects in a row after
-/// which it counts as damaged.
+/// Failures in a row after which the store counts as failing.
 const FAILURES: u32 = 5;
+
+/// Invalid objects in a row after which the store counts as damaged. Fewer than failures: an
+/// overload that passes explains a failure and no invalid object. One could be a single one.
+const INVALID: u32 = 3;
 
 /// A sample counts for at most this multiple of the average: one answer out of line, as a late one
 /// that was forgiven, does not hold reads back.
@@ -54,7 +57,7 @@ pub struct Pace {
     in_time: AtomicU32,
     /// Failures in a row.
     failures: AtomicU32,
-    /// Invalid objects since the last valid one, at most [`FAILURES`]: then the store is damaged.
+    /// Invalid objects since the last valid one, at most [`INVALID`]: then the store is damaged.
     invalid: AtomicU32,
     /// Whether its damage was reported, and no valid object since.
     is_damage_reported: AtomicBool,
@@ -86,7 +89,7 @@ impl Pace {
     /// known to be in the store (`is_stored`). Then one read every 5 s is worth a try all the same.
     pub fn wait(&self, key: ChunkKey, is_stored: bool, now: Instant) -> Option<Duration> {
         let wait = self.longest_wait(key);
-        let is_whole = self.invalid.load(Ordering::Relaxed) < FAILURES;
+        let is_whole = self.invalid.load(Ordering::Relaxed) < INVALID;
         if is_whole && self.is_quick(wait) && (is_stored || self.budget.load(Ordering::Relaxed) > 0) {
             return Some(wait);
         }
@@ -135,8 +138,8 @@ impl Pace {
     /// making it takes where the least wait is long.
     pub fn invalid(&self, now: Instant) -> bool {
         let before = self.invalid.load(Ordering::Relaxed);
-        self.invalid.store(FAILURES.min(before + 1), Ordering::Relaxed);
-        let is_damaged = before + 1 >= FAILURES;
+        self.invalid.store(INVALID.min(before + 1), Ordering::Relaxed);
+        let is_damaged = before + 1 >= INVALID;
         if is_damaged {
             self.hold_back(now);
         }
@@ -146,7 +149,7 @@ impl Pace {
     /// The store does not have a chunk. If it was damaged, it may have been emptied: reads go on
     /// until the next invalid object.
     pub fn missing(&self) {
-        self.invalid.fetch_min(FAILURES - 1, Ordering::Relaxed);
+        self.invalid.fetch_min(INVALID - 1, Ordering::Relaxed);
     }
 
     /// A read was answered while its thread waited, with a chunk or without.
@@ -300,7 +303,7 @@ mod tests {
             pace.made(key, MS(1));
             is_read
         });
-        assert_eq!(reads.count(), FAILURES as usize);
+        assert_eq!(reads.count(), INVALID as usize);
         assert_eq!(begun, 1);
         assert!(pace.is_worth_writing(key));
         assert!(pace.wait(key, true, now + RETRY).is_some(), "one try");
@@ -319,7 +322,7 @@ mod tests {
         let key = ChunkKey::new(3, 0, 0).unwrap();
         for (missing_in, reads_in_5_s) in [(1, 5000), (2, 2)] {
             let (pace, start) = (Pace::new(MS(100)), Instant::now());
-            let warnings = (0..FAILURES).filter(|_| pace.invalid(start)).count();
+            let warnings = (0..INVALID).filter(|_| pace.invalid(start)).count();
             let (mut reads, mut later_warnings) = (0_u32, 0);
             for ms in 0..10_000 {
                 let now = start + MS(ms);

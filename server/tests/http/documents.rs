@@ -40,7 +40,7 @@ fn quoted(text: &str) -> BTreeSet<&str> {
 #[test]
 fn the_section_of_http_names_the_routes_of_the_router() {
     let section = section(PROTOCOL, "## 7. HTTP");
-    let served: BTreeSet<&str> = routes().iter().map(|(path, _)| *path).collect();
+    let served: BTreeSet<&str> = routes().iter().map(|route| route.path).collect();
     let path = |name: &'static str| name.strip_prefix("GET ").unwrap_or(name).trim_end_matches(".png");
     let named: BTreeSet<&str> = quoted(section).into_iter().map(path).collect();
     assert_eq!(served.difference(&named).collect::<Vec<_>>(), Vec::<&&str>::new(), "not in the document");

@@ -35,7 +35,7 @@ fn paths(document: &Value) -> &Map<String, Value> {
 fn the_document_lists_the_routes_of_the_router() {
     let document = document();
     let documented: Vec<_> = paths(&document).keys().map(String::as_str).collect();
-    let served: Vec<_> = routes().iter().map(|(path, _)| *path).collect();
+    let served: Vec<_> = routes().iter().map(|route| route.path).collect();
     let sorted = |list: &[&str]| list.iter().map(|path| (*path).to_owned()).collect::<BTreeSet<_>>();
     assert_eq!(sorted(&documented), sorted(&served));
 }

@@ -102,6 +102,26 @@ fn a_folder_without_a_parent_is_not_created_before_its_parent_is() {
     assert_eq!((metrics.disk_cache.up.get(), metrics.disk_cache.writes.get()), (1, 1));
 }
 
+#[test]
+fn a_folder_that_becomes_available_is_opened_without_a_write() {
+    let parent = Folder::new();
+    let folder = Folder(parent.0.join("cache"));
+    let (mut writer, metrics) = writer(&folder, 1 << 30);
+    writer.retry_interval = Duration::from_millis(10);
+    let (commands, receiver) = mpsc::channel(1);
+    let thread = std::thread::spawn(move || writer.run(receiver));
+    std::thread::sleep(Duration::from_millis(300));
+    assert_eq!(metrics.disk_cache.up.get(), 0);
+    fs::create_dir(&parent.0).unwrap();
+    let by = Instant::now() + Duration::from_secs(60);
+    while metrics.disk_cache.up.get() == 0 {
+        assert!(Instant::now() < by, "it is not opened");
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    drop(commands);
+    thread.join().unwrap();
+}
+
 #[tokio::test]
 async fn levels_that_are_fast_to_generate_are_not_cached() {
     let folder = Folder::new();

@@ -29,6 +29,10 @@ const BLOCK: u64 = 4096;
 /// Interval between attempts to open an unavailable folder.
 const RETRY_INTERVAL: Duration = Duration::from_secs(60);
 
+/// Interval between two looks for a command while the folder is unavailable: an attempt may be due
+/// though nothing is written.
+const LOOK_INTERVAL: Duration = Duration::from_millis(200);
+
 /// Lock file of the server that uses the folder.
 const LOCK_FILE: &str = "lock";
 
@@ -73,6 +77,8 @@ pub struct DiskWriter {
     /// The next shard to count after the folder was opened.
     next_to_count: usize,
     state: State,
+    /// [`RETRY_INTERVAL`], shorter in tests.
+    pub(super) retry_interval: Duration,
     /// Whether the folder was opened before. It is not created again then: a folder that disappears
     /// is most often a lost mount, and the disk under the mount point must not be filled.
     was_open: bool,
@@ -96,6 +102,7 @@ impl DiskWriter {
             counts: vec![None; SHARDS],
             next_to_count: 0,
             state: State::Unavailable(None),
+            retry_interval: RETRY_INTERVAL,
             was_open: false,
             is_outage_logged: false,
         }
@@ -105,17 +112,22 @@ impl DiskWriter {
     pub fn run(mut self, mut commands: Receiver<WriterCommand>) {
         self.try_open(Instant::now());
         loop {
-            let command = if self.has_uncounted() {
+            let command = if self.is_open() && !self.has_uncounted() {
+                commands.blocking_recv()
+            } else {
                 match commands.try_recv() {
                     Ok(command) => Some(command),
-                    Err(TryRecvError::Empty) => {
+                    Err(TryRecvError::Empty) if self.is_open() => {
                         self.count_next();
+                        continue;
+                    }
+                    Err(TryRecvError::Empty) => {
+                        std::thread::sleep(LOOK_INTERVAL);
+                        self.try_open(Instant::now());
                         continue;
                     }
                     Err(TryRecvError::Disconnected) => None,
                 }
-            } else {
-                commands.blocking_recv()
             };
             match command {
                 Some(WriterCommand::Write { path, frame }) => self.write(&path, &frame, Instant::now()),
@@ -315,7 +327,7 @@ impl DiskWriter {
     }
 
     fn mark_unavailable(&mut self, error: &io::Error, now: Instant) {
-        self.state = State::Unavailable(Some(now + RETRY_INTERVAL));
+        self.state = State::Unavailable(Some(now + self.retry_interval));
         self.metrics.disk_cache.up.set(0);
         self.metrics.disk_cache.io_errors.inc();
         if !self.is_outage_logged {
