@@ -7,9 +7,14 @@ use protocol::DataFrame;
 use protocol::limits::{MAX_CREDITS, MAX_PENDING_REQUESTS, SEED_ONLY_FRAME};
 use protocol::message::ServerMessage;
 use protocol::server::ServerSession;
+use terrain::lod;
 
 /// Stands for every chunk: the session does not look into it.
 const CHUNK: Bytes = Bytes::from_static(&[0; SEED_ONLY_FRAME]);
+
+/// Estimated chunks of the largest view that is selected. The largest that a server accepts takes
+/// minutes here, and has nothing that a smaller one lacks.
+const LARGEST_VIEW: u64 = 4096;
 
 /// Chunks delivered after each frame.
 const CHUNKS: u32 = 8;
@@ -31,6 +36,10 @@ pub fn run(bytes: &[u8]) -> bool {
             }
         }
         while let Some(mut selection) = session.take_view() {
+            if lod::estimated_chunks(&selection.view().viewer()) > LARGEST_VIEW {
+                session.fail_view("it is not selected here");
+                continue;
+            }
             while !selection.step(&WORLD.land, 1024) {}
             session.apply_view(selection);
         }

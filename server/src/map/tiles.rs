@@ -246,12 +246,31 @@ fn encode(pixels: &[u8]) -> Result<Vec<u8>, png::EncodingError> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::chunk_id::ChunkId;
     use crate::generation::Limits;
     use crate::limits::rate_limit::RateLimiter;
-    use crate::source::ProceduralSource;
-    use terrain::Land;
+    use crate::source::{ChunkSource, ProceduralSource};
+    use terrain::{Chunk, Land};
+
+    /// A source that takes at least a time for each chunk.
+    struct Slow(ProceduralSource, Duration);
+
+    impl ChunkSource for Slow {
+        fn world(&self) -> WorldDigest {
+            self.0.world()
+        }
+
+        fn chunk(&self, id: ChunkId, known_error: Option<u32>) -> Chunk {
+            std::thread::sleep(self.1);
+            self.0.chunk(id, known_error)
+        }
+    }
 
     fn service(metrics: &Arc<Metrics>, jobs: usize) -> (Land, Generation) {
+        slow_service(metrics, jobs, Duration::ZERO)
+    }
+
+    fn slow_service(metrics: &Arc<Metrics>, jobs: usize, chunk: Duration) -> (Land, Generation) {
         let land = Land::new(1);
         let limits = Limits {
             threads: 1,
@@ -260,7 +279,8 @@ mod tests {
             deadline: Duration::from_secs(30),
             without: None,
         };
-        (land, Generation::new(ProceduralSource::new(land), limits, Arc::clone(metrics)).unwrap())
+        let source = Slow(ProceduralSource::new(land), chunk);
+        (land, Generation::new(source, limits, Arc::clone(metrics)).unwrap())
     }
 
     /// A bucket of `ms` milliseconds per second.
@@ -287,7 +307,7 @@ mod tests {
     #[tokio::test(start_paused = true)]
     async fn a_tile_waits_for_tokens_before_each_chunk_and_leaves_its_place_to_others() {
         let metrics = Arc::new(Metrics::default());
-        let (land, generation) = service(&metrics, 100);
+        let (land, generation) = slow_service(&metrics, 100, Duration::from_millis(40));
         let map = Arc::new(Map::new(land.digest(), 1 << 20, 1, Arc::clone(&metrics)));
         let limited = bucket(1);
         // Its request was admitted; meanwhile others have spent the tokens and 40 s of refill more.
@@ -299,7 +319,9 @@ mod tests {
             (0, 1)
         );
 
-        // 10 ms pay for some ten of the 36 chunks. A chunk that takes 3 s more is within the deadline.
+        // 10 ms pay for one of the 36 chunks, of 1.4 s together, and for those requested with it. The
+        // threads refill the bucket by the real time: on a busy machine it gets more, and chunks take
+        // longer. Up to 14 s of the one, and up to 3 s of the other, do not change the result.
         let tile = {
             let (map, generation, short) = (Arc::clone(&map), generation.clone(), bucket(100));
             short.charge_work(990_000, Instant::now());

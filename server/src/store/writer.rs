@@ -9,15 +9,21 @@ use object_store::{Error, ObjectStore, ObjectStoreExt};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 use tokio::runtime::Handle;
-use tokio::sync::{Semaphore, mpsc, oneshot};
+use tokio::sync::{mpsc, oneshot};
+use tokio::task::JoinSet;
 use tokio::time::timeout;
 
 /// Frames that wait for their write: about 8 MiB. One more is dropped and counted, and each replica
 /// that needs the chunk makes it again.
 const QUEUE: usize = 2048;
 
-/// Writes in flight.
-const IN_FLIGHT: u32 = 8;
+/// Writes in flight, and how many while more than [`BACKLOG`] frames wait. Few at first: where the
+/// store shares the processors, the threads of many writes delay those that make chunks.
+const IN_FLIGHT: usize = 2;
+const MOST_IN_FLIGHT: usize = 8;
+
+/// Frames that wait where the store is slow, or far away.
+const BACKLOG: usize = 64;
 
 /// Timeout of one.
 const WRITE_TIMEOUT: Duration = Duration::from_secs(5);
@@ -88,23 +94,21 @@ impl Writer {
 }
 
 async fn run(shared: Arc<Shared>, mut commands: mpsc::Receiver<Command>) {
-    let permits = Arc::new(Semaphore::new(IN_FLIGHT as usize));
+    let mut writes = JoinSet::new();
     while let Some(command) = commands.recv().await {
         match command {
             Command::Write(path, frame) => {
-                // The semaphore is never closed.
-                let Ok(permit) = Arc::clone(&permits).acquire_owned().await else { return };
+                let most = if commands.len() > BACKLOG { MOST_IN_FLIGHT } else { IN_FLIGHT };
+                // Those that have ended are no longer in flight.
+                while writes.try_join_next().is_some() {}
+                while writes.len() >= most && writes.join_next().await.is_some() {}
                 let shared = Arc::clone(&shared);
-                tokio::spawn(async move {
-                    shared.put(path, frame).await;
-                    drop(permit);
-                });
+                writes.spawn(async move { shared.put(path, frame).await });
             }
             Command::Close(done) => {
-                let all = permits.acquire_many(IN_FLIGHT).await;
+                while writes.join_next().await.is_some() {}
                 // The server may no longer wait.
                 let _ = done.send(());
-                drop(all);
             }
         }
     }
