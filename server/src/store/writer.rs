@@ -9,21 +9,19 @@ use object_store::{Error, ObjectStore, ObjectStoreExt};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 use tokio::runtime::Handle;
-use tokio::sync::{mpsc, oneshot};
-use tokio::task::JoinSet;
-use tokio::time::timeout;
+use tokio::sync::{Semaphore, mpsc, oneshot};
+use tokio::time::{sleep, timeout};
 
 /// Frames that wait for their write: about 8 MiB. One more is dropped and counted, and each replica
 /// that needs the chunk makes it again.
 const QUEUE: usize = 2048;
 
-/// Writes in flight, and how many while more than [`BACKLOG`] frames wait. Few at first: where the
-/// store shares the processors, the threads of many writes delay those that make chunks.
-const IN_FLIGHT: usize = 2;
-const MOST_IN_FLIGHT: usize = 8;
+/// Writes in flight.
+const IN_FLIGHT: u32 = 8;
 
-/// Frames that wait where the store is slow, or far away.
-const BACKLOG: usize = 64;
+/// Time between two writes while chunks are made, until half of the queue is full: what a write
+/// takes, of the store too where it shares the processors, delays them.
+const PAUSE: Duration = Duration::from_millis(20);
 
 /// Timeout of one.
 const WRITE_TIMEOUT: Duration = Duration::from_secs(5);
@@ -94,21 +92,26 @@ impl Writer {
 }
 
 async fn run(shared: Arc<Shared>, mut commands: mpsc::Receiver<Command>) {
-    let mut writes = JoinSet::new();
+    let permits = Arc::new(Semaphore::new(IN_FLIGHT as usize));
     while let Some(command) = commands.recv().await {
         match command {
             Command::Write(path, frame) => {
-                let most = if commands.len() > BACKLOG { MOST_IN_FLIGHT } else { IN_FLIGHT };
-                // Those that have ended are no longer in flight.
-                while writes.try_join_next().is_some() {}
-                while writes.len() >= most && writes.join_next().await.is_some() {}
+                if shared.metrics.generation.pending_jobs.get() > 0 && commands.len() < QUEUE / 2 {
+                    sleep(PAUSE).await;
+                }
+                // The semaphore is never closed.
+                let Ok(permit) = Arc::clone(&permits).acquire_owned().await else { return };
                 let shared = Arc::clone(&shared);
-                writes.spawn(async move { shared.put(path, frame).await });
+                tokio::spawn(async move {
+                    shared.put(path, frame).await;
+                    drop(permit);
+                });
             }
             Command::Close(done) => {
-                while writes.join_next().await.is_some() {}
+                let all = permits.acquire_many(IN_FLIGHT).await;
                 // The server may no longer wait.
                 let _ = done.send(());
+                drop(all);
             }
         }
     }
@@ -172,6 +175,26 @@ impl Shared {
 mod tests {
     use super::*;
     use object_store::memory::InMemory;
+
+    /// Frames that are written in 1 s of virtual time while jobs are pending, of so many.
+    async fn written_in_a_second(frames: usize, pending_jobs: i64) -> u64 {
+        let (metrics, objects) = (Arc::new(Metrics::default()), Arc::new(InMemory::new()));
+        metrics.generation.pending_jobs.set(pending_jobs);
+        let writer = Writer::start(&Handle::current(), objects, Arc::clone(&metrics));
+        for frame in 0..frames {
+            writer.write(Path::from(format!("x/{frame}")), || Bytes::from_static(b"frame"));
+        }
+        sleep(Duration::from_secs(1)).await;
+        metrics.store.writes.get()
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn writes_wait_for_chunks_that_are_made_unless_many_wait() {
+        assert!((40..=60).contains(&written_in_a_second(500, 1).await));
+        assert_eq!(written_in_a_second(500, 0).await, 500, "the control: nothing is made");
+        let written = written_in_a_second(QUEUE, 1).await;
+        assert!((QUEUE as u64 / 2..=QUEUE as u64 / 2 + 60).contains(&written), "{written}");
+    }
 
     #[test]
     fn a_minute_after_a_refusal_one_write_is_sent_again() {
