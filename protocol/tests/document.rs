@@ -74,7 +74,7 @@ fn limits_of_a_session_are_those_of_the_code() {
     states(&format!("at most {} tiles. A full set is cleared", grouped(limits::MAX_HELD_TILES)));
     states(&format!("the latest {} chunks of levels 1 and 2", grouped(limits::MAX_REFERENCES)));
     // Limits of the cost of a view.
-    states(&format!("stops at {} chunks", grouped(limits::MAX_VIEW_CHUNKS)));
+    states(&format!("needs more than {} chunks gets the first", grouped(limits::MAX_VIEW_CHUNKS)));
     states(&format!("exceeds {} is refused", grouped(limits::MAX_VIEW_ESTIMATE as usize)));
 }
 
