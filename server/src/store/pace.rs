@@ -32,7 +32,7 @@ const LATE_PART: u32 = 256;
 const FAILURES: u32 = 5;
 
 /// Invalid objects in a row after which the store counts as damaged. Fewer than failures: an
-/// overload that passes explains a failure and no invalid object. One could be a single one.
+/// overload that passes explains a failure and no invalid object. One alone may be a stray object.
 const INVALID: u32 = 3;
 
 /// A sample counts for at most this multiple of the average: one answer out of line, as a late one

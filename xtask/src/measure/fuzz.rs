@@ -2,7 +2,7 @@
 //!
 //! The targets are those of the package `fuzz`, built by cargo-fuzz. They start from the valid
 //! inputs of `entry-points` and from what earlier runs left in `target/fuzz/corpus`: what one run
-//! found, the next need not find again. Half a day; `TOMBOLO_FUZZ_TARGETS` selects targets by their
+//! found, the next need not find again. Many hours; `TOMBOLO_FUZZ_TARGETS` selects targets by their
 //! names, with commas between them, and `TOMBOLO_FUZZ_SECONDS` limits each one's time. A run adds
 //! its executions to those that `runs.csv` has of the same code, so that several short runs make a
 //! whole one. What falls short of the executions misses its bar.
@@ -13,6 +13,7 @@ use super::run::Run;
 use crate::process;
 use anyhow::{Context, Result, bail};
 use bars::Bar;
+use earlier::Earlier;
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -90,7 +91,7 @@ struct Searched {
 pub fn rows(run: &mut Run) -> Result<Vec<Bar>> {
     // Before the build: an unknown name costs no time.
     let selected = selected()?;
-    let earlier = earlier::executions().context("the earlier runs cannot be read")?;
+    let earlier = earlier::read().context("the earlier runs cannot be read")?;
     let folder = process::target().join("fuzz");
     build(&folder)?;
     let mut seeds = process::cargo("run --quiet --example seeds --");
@@ -99,7 +100,7 @@ pub fn rows(run: &mut Run) -> Result<Vec<Bar>> {
     clear(&folder, PLANTED)?;
     let planted = search(run, &folder, PLANTED, PLANTED_EXECUTIONS)?;
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
-    let left = left(&selected, &earlier);
+    let left = left(&selected, &earlier.executions);
     let waiting = Mutex::new(left.iter());
     let found = Mutex::new(Vec::new());
     let next = || waiting.lock().ok()?.next().copied();
@@ -161,19 +162,19 @@ fn row(target: &str) -> String {
 }
 
 /// The rows. Without the planted fault nothing counts.
-fn bars_of(planted: &Searched, found: &[Searched], earlier: &BTreeMap<&str, f64>) -> Vec<Bar> {
+fn bars_of(planted: &Searched, found: &[Searched], earlier: &Earlier) -> Vec<Bar> {
     let can_find = planted.has_fault;
     let mut rows: Vec<_> = TARGETS
         .iter()
         .map(|target| {
-            let before = earlier.get(target.name).copied();
+            let before = earlier.executions.get(target.name).copied();
             let now = found.iter().find(|one| one.target == target.name).and_then(|one| one.executions);
             let executions = now.map(|now| now + before.unwrap_or(0.0)).or(before).filter(|_| can_find);
             Bar::at_least(row(target.name), executions, "", target.executions as f64)
         })
         .collect();
     let faults = found.iter().filter(|one| one.has_fault).count() as f64;
-    rows.push(Bar::none(FAULTS, can_find.then_some(faults)));
+    rows.push(Bar::none(FAULTS, can_find.then_some(faults.max(earlier.faults))));
     rows
 }
 
@@ -251,7 +252,7 @@ mod tests {
     }
 
     fn missed(planted: bool, found: &[Searched]) -> usize {
-        let rows = bars_of(&searched(PLANTED, 1.0, planted), found, &BTreeMap::new());
+        let rows = bars_of(&searched(PLANTED, 1.0, planted), found, &Earlier::default());
         assert_eq!(rows.len(), TARGETS.len() + 1);
         rows.iter().filter(|row| row.is_missed()).count()
     }
@@ -274,15 +275,20 @@ mod tests {
 
     #[test]
     fn a_run_adds_to_the_earlier_ones_and_does_only_what_is_left() {
-        let earlier = BTreeMap::from([("chunk", 6e7), ("pack", 1e8)]);
+        let executions = BTreeMap::from([("chunk", 6e7), ("pack", 1e8)]);
+        let mut earlier = Earlier { executions, faults: 0.0 };
         let selected = named("chunk,pack,tokens").unwrap();
-        assert_eq!(left(&selected, &earlier), [("chunk", 40_000_000), ("tokens", FILES)]);
+        assert_eq!(left(&selected, &earlier.executions), [("chunk", 40_000_000), ("tokens", FILES)]);
         let found = [searched("chunk", 4e7, false), searched("tokens", 1.0, false)];
         let rows = bars_of(&searched(PLANTED, 1.0, true), &found, &earlier);
         let of = |target: &str| rows.iter().find(|found| found.name == row(target)).unwrap();
         assert!(["chunk", "pack"].into_iter().all(|target| of(target).is_met()));
         assert_eq!(of("tokens").figure, Some(1.0).into());
         assert!(of("http").is_missed());
+        assert!(rows.last().unwrap().is_met());
+        earlier.faults = 1.0;
+        let faulty = bars_of(&searched(PLANTED, 1.0, true), &found, &earlier);
+        assert!(faulty.last().unwrap().is_missed(), "a fault that an earlier run found");
         let uncounted = bars_of(&searched(PLANTED, 1.0, false), &found, &earlier);
         assert!(uncounted.iter().all(Bar::is_missed), "without the planted fault nothing counts");
     }

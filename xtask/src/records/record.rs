@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 pub const FOLDER: &str = "docs/measurements/";
 
 /// Length of the date in the name of a record's folder, and of the hyphen behind it.
-const DATE: usize = "2026-01-02-".len();
+pub const DATE: usize = "2026-01-02-".len();
 
 /// A record of one measurement on one machine.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]

@@ -30,7 +30,7 @@ const BLOCK: u64 = 4096;
 const RETRY_INTERVAL: Duration = Duration::from_secs(60);
 
 /// Interval between two looks for a command while the folder is unavailable: an attempt may be due
-/// though nothing is written.
+/// though nothing is written, and the channel has no blocking receive with a timeout.
 const LOOK_INTERVAL: Duration = Duration::from_millis(200);
 
 /// Lock file of the server that uses the folder.

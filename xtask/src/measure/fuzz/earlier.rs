@@ -1,9 +1,10 @@
 //! The executions of earlier runs, which count while the code that they called is the same.
 
-use super::{COMMON, FAULTS, TARGETS, row};
+use super::{CLIENT, COMMON, FAULTS, SERVER, TARGETS, row};
 use crate::measure::runs::{FILE, Runs};
 use crate::process;
-use crate::records::{self, record::FOLDER};
+use crate::records;
+use crate::records::record::{DATE, FOLDER};
 use anyhow::{Context, Result};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -12,14 +13,20 @@ use std::path::Path;
 /// Name of the measurement in `runs.csv`.
 const NAME: &str = "fuzz";
 
-/// Length of the date at the start of a folder's name, and of the hyphen behind it.
-const DATE: usize = "2026-01-02-".len();
+/// What earlier runs on any machine have found.
+#[derive(Clone, Debug, Default)]
+pub struct Earlier {
+    /// Executions by their targets.
+    pub executions: BTreeMap<&'static str, f64>,
+    /// Targets with a fault that no change of the code can have removed.
+    pub faults: f64,
+}
 
-/// The executions by their targets, on any machine.
+/// Reads the earlier runs.
 ///
 /// # Errors
 /// A file of runs cannot be read.
-pub fn executions() -> Result<BTreeMap<&'static str, f64>> {
+pub fn read() -> Result<Earlier> {
     let runs = by_commit(&process::root().join(FOLDER))?;
     let mut executions = BTreeMap::new();
     for target in TARGETS {
@@ -29,7 +36,15 @@ pub fn executions() -> Result<BTreeMap<&'static str, f64>> {
             executions.insert(target.name, executed);
         }
     }
-    Ok(executions)
+    let all: Vec<_> = COMMON.iter().chain(SERVER).chain(CLIENT).copied().collect();
+    let faults = faults(&runs, |commit| records::has_code_of(&all, commit));
+    Ok(Earlier { executions, faults })
+}
+
+/// The most targets with a fault in a run of the same code.
+fn faults(runs: &[(String, Runs)], is_same: impl Fn(&str) -> bool) -> f64 {
+    let same = runs.iter().filter(|(commit, _)| is_same(commit));
+    same.flat_map(|(_, runs)| runs.of(FAULTS).figures).fold(0.0, f64::max)
 }
 
 /// The executions of a target in the run with most of those of the same code: each run has those
@@ -92,6 +107,11 @@ mod tests {
         assert_eq!(before(|_| false), None);
         add("x", "a", Some(60.0), Some(1.0));
         assert_eq!(before(|commit| commit != "other"), None, "a fault, whatever the machine");
+        let runs = by_commit(&folder).unwrap();
+        assert_eq!(
+            [faults(&runs, |commit| commit == "a"), faults(&runs, |commit| commit == "b")],
+            [1.0, 0.0]
+        );
         add("x", "other", Some(95.0), None);
         assert_eq!(before(|_| true), None, "the planted fault was not found");
         fs::remove_dir_all(folder).unwrap();
