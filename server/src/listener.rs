@@ -310,7 +310,7 @@ struct Failure {
 }
 
 /// The steps before requests: the header of a trusted proxy, and the handshake of TLS. None if the
-/// client of a proxy has no place.
+/// client of a proxy has no place, or if the connection ends for another one.
 async fn open(
     mut stream: TcpStream,
     peer: IpAddr,
@@ -330,7 +330,12 @@ async fn open(
     let stream = match &state.config.tls {
         None => Either::Left(stream),
         Some(tls) => {
-            let accepted = tls.accept(stream, client).await;
+            // Behind a proxy the client has a place, which another one may need, since its header.
+            let held = place.state();
+            let accepted = tokio::select! {
+                accepted = tls.accept(stream, client) => accepted,
+                () = held.displaced() => return Ok(None),
+            };
             let accepted =
                 accepted.map_err(|error| failure(client, ConnectionFailure::TlsHandshake, &error))?;
             Either::Right(Box::new(accepted))

@@ -9,6 +9,7 @@ use std::io::{ErrorKind, IsTerminal, Write};
 use std::process::ExitCode;
 use std::time::{Duration, Instant};
 use tokio_util::sync::CancellationToken;
+use tracing_appender::non_blocking::{NonBlockingBuilder, WorkerGuard};
 use tracing_subscriber::Layer;
 use tracing_subscriber::filter::LevelFilter;
 use tracing_subscriber::layer::SubscriberExt;
@@ -18,6 +19,10 @@ const NAME: &str = "tombolo-server";
 
 /// Exit code of a bake that a signal has stopped: as a shell reports SIGTERM.
 const TERMINATED: u8 = 128 + 15;
+
+/// Log lines that wait to be written, about 2 MiB. While standard error takes none, further ones are
+/// lost.
+const LOG_LINES: usize = 8192;
 
 /// Longest wait at the end for reads of files and for map tiles, whose results are not needed any
 /// more.
@@ -40,8 +45,8 @@ fn main() -> ExitCode {
         Ok(config) => config,
         Err(error) => return cli::fail(NAME, error, cli::USAGE),
     };
-    let exporter = match set_up_logging(&config) {
-        Ok(exporter) => exporter,
+    let logging = match set_up_logging(&config) {
+        Ok(logging) => logging,
         Err(message) => return cli::fail(NAME, message, cli::USAGE),
     };
     open_files::raise(config.max_sessions);
@@ -55,9 +60,11 @@ fn main() -> ExitCode {
             runtime.shutdown_timeout(BLOCKING_TIMEOUT);
             served
         });
-    if let Some(exporter) = exporter {
+    if let Some(exporter) = logging.exporter {
         exporter.close();
     }
+    // The lines that wait come before the error.
+    drop(logging.lines);
     match served {
         Ok(()) => ExitCode::SUCCESS,
         Err(message) => cli::fail(NAME, message, cli::FAILED),
@@ -176,24 +183,34 @@ fn interruption(stays: bool) -> std::io::Result<impl Future<Output = ()>> {
     })
 }
 
+/// Log lines and traces, until they are closed.
+struct Logging {
+    /// Writes the lines that wait when it is dropped, for at most a second.
+    lines: WorkerGuard,
+    exporter: Option<Exporter>,
+}
+
 /// Log lines on standard error, and traces to a collector.
-fn set_up_logging(config: &ServerConfig) -> Result<Option<Exporter>, UsageError> {
+fn set_up_logging(config: &ServerConfig) -> Result<Logging, UsageError> {
     // Spans of traces are for the collector alone.
     let filter = log_filter(&config.log)?.with_target(traces::TARGET, LevelFilter::OFF);
-    let lines = tracing_subscriber::fmt::layer()
-        .with_writer(std::io::stderr)
-        .with_ansi(std::io::stderr().is_terminal());
+    // Written by a thread of their own: a reader of standard error that stalls must not stop the
+    // threads that log.
+    let (writer, guard) =
+        NonBlockingBuilder::default().buffered_lines_limit(LOG_LINES).finish(std::io::stderr());
+    let lines =
+        tracing_subscriber::fmt::layer().with_writer(writer).with_ansi(std::io::stderr().is_terminal());
     let lines = if config.log_json { lines.json().boxed() } else { lines.boxed() };
     let registry = tracing_subscriber::registry().with(lines.with_filter(filter));
     // No layer at all rather than an absent one, which has an interest in all spans.
     let Some(config) = &config.traces else {
         registry.init();
-        return Ok(None);
+        return Ok(Logging { lines: guard, exporter: None });
     };
     let (layer, exporter) = traces::layer(config, instance())
         .map_err(|error| UsageError::new(format!("otlp: cannot export traces: {error}")))?;
     registry.with(layer).init();
-    Ok(Some(exporter))
+    Ok(Logging { lines: guard, exporter: Some(exporter) })
 }
 
 /// The name of this process among the replicas.

@@ -16,7 +16,7 @@ use tokio::sync::Notify;
 /// Least time between two sessions that are displaced.
 const DISPLACEMENT_INTERVAL: Duration = Duration::from_millis(250);
 
-/// Time in which no further session is displaced for a site that has not begun one since.
+/// Time in which no further session is displaced for a site without a handshake since.
 const DISPLACEMENT_WAIT: Duration = Duration::from_secs(30);
 
 /// Sites in the table of those at most. While it is full no session is displaced for a further
@@ -35,6 +35,8 @@ pub struct SessionStats {
     bytes: AtomicU64,
     ending: AtomicU8,
     ends: Notify,
+    /// Whether its handshake is done.
+    is_welcomed: AtomicBool,
 }
 
 /// Figures of a session at one moment.
@@ -138,6 +140,16 @@ impl OpenSession {
     }
 }
 
+impl OpenSession {
+    /// Notes that the handshake is done: the client has taken its place, and another session may be
+    /// displaced for its site at once.
+    pub fn set_welcomed(&self) {
+        if !self.stats.is_welcomed.swap(true, Ordering::Relaxed) {
+            lock(&self.sessions.shared.waiting).remove(&self.site());
+        }
+    }
+}
+
 impl std::ops::Deref for OpenSession {
     type Target = SessionStats;
 
@@ -167,7 +179,7 @@ struct Shared {
     sessions: Mutex<Sessions>,
     /// When a session was displaced for the last time.
     displaced: Mutex<Option<Instant>>,
-    /// Sites for which a session was displaced, and when; until they begin one.
+    /// Sites for which a session was displaced, and when; until one of theirs has its handshake.
     waiting: Mutex<HashMap<Option<IpAddr>, Instant>>,
 }
 
@@ -193,7 +205,6 @@ impl OpenSessions {
     pub fn register(&self, number: u64, client: Option<IpAddr>) -> OpenSession {
         let stats = Arc::new(SessionStats::default());
         let registered = Registered { stats: Arc::clone(&stats), site: client.map(client_site) };
-        lock(&self.shared.waiting).remove(&registered.site);
         let mut sessions = lock(&self.shared.sessions);
         sessions.sites.insert(registered.site, number);
         sessions.by_number.insert(number, registered);
@@ -236,7 +247,7 @@ impl OpenSessions {
 
     /// Ends the newest session of the site that has the most, for a client whose site has at least
     /// two fewer. False if there is none, too soon after the last one, or for a site that has not
-    /// begun a session since: a client that never takes its place must not end many.
+    /// had a session with a handshake since: a client that never takes its place must not end many.
     pub fn displace_for(&self, client: Option<IpAddr>, now: Instant) -> bool {
         let mut displaced = lock(&self.shared.displaced);
         if displaced.is_some_and(|last| now.saturating_duration_since(last) < DISPLACEMENT_INTERVAL) {
@@ -326,7 +337,10 @@ mod tests {
         assert_eq!(displaced(3, 249), None, "too soon");
         assert_eq!(displaced(3, 250), None, "it has not begun a session");
         assert!(displaced(4, 250).is_some());
-        drop(sessions.register(9, client(3)));
+        let ninth = sessions.register(9, client(3));
+        assert_eq!(displaced(3, 500), None, "it has no handshake");
+        ninth.set_welcomed();
+        drop(ninth);
         assert!(displaced(3, 500).is_some());
         assert_eq!(displaced(5, 750), None, "each site has one");
     }

@@ -14,7 +14,7 @@ use tokio::time::{sleep, timeout};
 const INTERVAL: Duration = Duration::from_secs(5);
 
 /// Longest wait for a file, as of a mount that hangs. Its read goes on, on a thread of its own;
-/// until it ends the file counts as unreadable and is not read again.
+/// until it ends the file counts as unreadable and is not read again. Its result is not used.
 const READ_TIMEOUT: Duration = Duration::from_secs(2);
 
 /// Reloads until it is dropped. Ends at once if there is nothing to reload.
@@ -24,11 +24,22 @@ pub async fn run(state: Arc<ServerState>) {
     }
     let mut hangup = Hangup::new();
     let (gate, metrics) = (Arc::clone(&state.gate), &state.metrics);
-    let mut tokens = File::new("tokens", &metrics.limits.tokens_reload_failed, move || gate.reload());
-    let mut certificate =
-        state.config.tls.clone().map(|tls| {
-            File::new("certificate", &metrics.limits.certificate_reload_failed, move || tls.reload())
-        });
+    let read = Arc::clone(&gate);
+    let mut tokens = File::new(
+        "tokens",
+        &metrics.limits.tokens_reload_failed,
+        move || read.read(),
+        move |read| gate.replace(read),
+    );
+    let mut certificate = state.config.tls.clone().map(|tls| {
+        let read = Arc::clone(&tls);
+        File::new(
+            "certificate",
+            &metrics.limits.certificate_reload_failed,
+            move || read.read(),
+            move |read| tls.replace(read),
+        )
+    });
     loop {
         let is_asked = tokio::select! {
             () = hangup.received() => true,
@@ -43,27 +54,31 @@ pub async fn run(state: Arc<ServerState>) {
     }
 }
 
-/// The result of one reload, or its error.
-type Outcome = Result<Reloaded, UsageError>;
+/// The content of a file, or why it cannot be used.
+type Content<T> = Result<T, UsageError>;
 
 /// A file, or the two of a certificate.
-struct File<'a> {
+struct File<'a, T> {
     name: &'static str,
     failed: &'a Gauge,
-    read: Arc<dyn Fn() -> Outcome + Send + Sync>,
+    read: Arc<dyn Fn() -> Content<T> + Send + Sync>,
+    /// Puts content into use.
+    replace: Box<dyn Fn(T) -> Reloaded + Send + Sync>,
     /// The read that has not ended.
-    reading: Option<JoinHandle<Outcome>>,
+    reading: Option<JoinHandle<Content<T>>>,
     /// The last failure, so that it is logged once.
     failure: Option<UsageError>,
 }
 
-impl<'a> File<'a> {
+impl<'a, T: Send + 'static> File<'a, T> {
     fn new(
         name: &'static str,
         failed: &'a Gauge,
-        read: impl Fn() -> Outcome + Send + Sync + 'static,
+        read: impl Fn() -> Content<T> + Send + Sync + 'static,
+        replace: impl Fn(T) -> Reloaded + Send + Sync + 'static,
     ) -> Self {
-        Self { name, failed, read: Arc::new(read), reading: None, failure: None }
+        let (read, replace) = (Arc::new(read), Box::new(replace));
+        Self { name, failed, read, replace, reading: None, failure: None }
     }
 
     /// Reads it again, or waits on for the read that has not ended.
@@ -74,11 +89,11 @@ impl<'a> File<'a> {
         // Files may be on a slow disk.
         let reading = self.reading.get_or_insert_with(|| spawn_blocking(move || read()));
         let outcome = match timeout(READ_TIMEOUT, &mut *reading).await {
-            Ok(outcome) => {
+            Ok(content) => {
                 self.reading = None;
                 // A panic is reported by its hook.
-                let Ok(outcome) = outcome else { return };
-                outcome
+                let Ok(content) = content else { return };
+                content.map(&self.replace)
             }
             Err(_) => {
                 let seconds = READ_TIMEOUT.as_secs();
@@ -89,7 +104,7 @@ impl<'a> File<'a> {
         self.log(outcome, is_asked);
     }
 
-    fn log(&mut self, outcome: Outcome, is_asked: bool) {
+    fn log(&mut self, outcome: Result<Reloaded, UsageError>, is_asked: bool) {
         let name = self.name;
         match outcome {
             Ok(Reloaded::Unchanged) => self.failure = None,

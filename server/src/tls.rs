@@ -55,7 +55,8 @@ struct Files {
     key: PathBuf,
 }
 
-struct Current {
+/// Certificate and key that were read.
+pub struct Current {
     /// Of the content of both files.
     digest: blake3::Hash,
     config: Arc<ServerConfig>,
@@ -194,18 +195,22 @@ impl Tls {
         Arc::clone(&self.current.read().unwrap_or_else(PoisonError::into_inner).config)
     }
 
-    /// Reads the files again. Connections that are open go on.
+    /// Reads the files again, without using them.
     ///
     /// # Errors
-    /// They have no usable certificate and key; the earlier ones stay.
-    pub fn reload(&self) -> Result<Reloaded, UsageError> {
-        let read = self.files.read()?;
+    /// They have no usable certificate and key.
+    pub fn read(&self) -> Result<Current, UsageError> {
+        self.files.read()
+    }
+
+    /// Uses what [`Tls::read`] returned for new connections. Those that are open go on.
+    pub fn replace(&self, read: Current) -> Reloaded {
         let mut current = self.current.write().unwrap_or_else(PoisonError::into_inner);
         if current.digest == read.digest {
-            return Ok(Reloaded::Unchanged);
+            return Reloaded::Unchanged;
         }
         *current = read;
-        Ok(Reloaded::Changed)
+        Reloaded::Changed
     }
 }
 
@@ -213,6 +218,13 @@ impl Tls {
 async fn woken() {
     let mut is_woken = false;
     poll_fn(|_| if std::mem::replace(&mut is_woken, true) { Poll::Ready(()) } else { Poll::Pending }).await;
+}
+
+impl fmt::Debug for Current {
+    /// Without the key.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Current").field("digest", &self.digest).finish_non_exhaustive()
+    }
 }
 
 impl fmt::Debug for Tls {

@@ -20,15 +20,19 @@ use std::hash::{Hash, Hasher};
 use std::time::Duration;
 use terrain::{ChunkKey, Start};
 
-/// Chunks of a session in generation, and cached ones before a write: those of the server.
+/// Chunks of a session in generation: as in the server.
 const JOB_WINDOW: usize = 16;
+
+/// Cached chunks before a write: likewise.
 const BATCH: usize = 64;
 
-/// Longest wait of a requested chunk, and the backlog from which level 0 is encoded fast: likewise.
+/// Longest wait of a requested chunk: likewise.
 const DEADLINE: Duration = Duration::from_millis(500);
+
+/// The backlog from which level 0 is encoded fast: likewise.
 const FAST_FROM: Duration = Duration::from_millis(4);
 
-/// Weight of one job in the mean cost of jobs.
+/// Window of the moving average of the costs of jobs: one job weighs 1/32.
 const MEAN_WINDOW: f64 = 32.0;
 
 /// Frames that a client of the load test processes before it lets others go on.
@@ -76,20 +80,20 @@ struct Session {
 #[derive(Debug, Default)]
 struct Inbox {
     frames: VecDeque<Bytes>,
-    is_read: bool,
+    is_busy: bool,
 }
 
 impl Inbox {
     /// Adds frames. The next ones to handle, unless a processor is at it.
     fn add(&mut self, frames: Vec<Bytes>, most: usize) -> Option<Vec<Bytes>> {
         self.frames.extend(frames);
-        if self.is_read { None } else { self.next(most) }
+        if self.is_busy { None } else { self.next(most) }
     }
 
     /// After the last ones were handled: the next.
     fn next(&mut self, most: usize) -> Option<Vec<Bytes>> {
-        self.is_read = !self.frames.is_empty();
-        self.is_read.then(|| self.frames.drain(..most.min(self.frames.len())).collect())
+        self.is_busy = !self.frames.is_empty();
+        self.is_busy.then(|| self.frames.drain(..most.min(self.frames.len())).collect())
     }
 }
 

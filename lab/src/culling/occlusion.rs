@@ -112,7 +112,7 @@ pub struct Findings {
     /// By kind of scene: `steep` (pitches of no walk), `absent_chunks` (a random share of the
     /// chunks has not arrived), `chunk_border` and `level_border` (the eye is exactly on one).
     pub variations: BTreeMap<&'static str, Variation>,
-    /// By test: `noise` (T2, step of 2 m), `march` (T3 as first published, step of 2 m),
+    /// By test: `noise` (T2, step of 2 m), `march` (T3 by steps of 2 m along the ray),
     /// `march_fine` (step of half a metre), `exact` (T3), `hierarchical` (T4), `grass` and `trees`
     /// of it, `bound` (T4 where any point of a clump's bound is visible: the tests are conservative
     /// for the bound); `chunks` of 128 m of grass by T4 (kept if any clump of them is),

@@ -59,6 +59,8 @@ pub struct SessionCounts {
     pub views: u64,
     /// Views replaced by a newer one before they were selected.
     pub superseded_views: u64,
+    /// Chunks of explicit requests whose generation was cancelled.
+    pub cancelled: u64,
 }
 
 /// One session, from the first frame to the close.
@@ -98,6 +100,9 @@ struct InFlight {
     latest: Option<u32>,
     /// Whether it was reported as stale since the latest request.
     is_stale: bool,
+    /// The priority of the chunk in the active view, if the view waits for these requests instead of
+    /// requesting it. If they end without the chunk, the view does.
+    view: Option<u64>,
 }
 
 impl ServerSession {
@@ -233,13 +238,21 @@ impl ServerSession {
         self.views.can_take()
     }
 
-    /// Whether a chunk is needed that the client has credit for.
+    /// Whether a chunk is needed that the client has credit for. If none is needed, this may announce
+    /// that the view is complete.
     pub fn has_next_chunk(&mut self) -> bool {
         if !self.has_credit() {
             return false;
         }
         let Self { requests, views, held, in_flight, .. } = &mut *self;
-        let is_known = |key: &ChunkKey| held.contains(*key) || in_flight.contains_key(key);
+        let is_known = |key: ChunkKey, needed: Option<u64>| {
+            if held.contains(key) {
+                return true;
+            }
+            let Some(in_flight) = in_flight.get_mut(&key) else { return false };
+            in_flight.view = in_flight.view.or(needed);
+            true
+        };
         let has_next = !requests.is_empty() || views.has_next(is_known);
         if !has_next {
             // The client may hold all pending chunks.
@@ -259,6 +272,8 @@ impl ServerSession {
     pub fn apply_view(&mut self, selection: ViewSelection) {
         self.counts.views += 1;
         let keys = self.views.apply(selection, &self.offer.land);
+        // The chunks that the new view needs are all pending.
+        self.in_flight.values_mut().for_each(|in_flight| in_flight.view = None);
         self.find_stale(|key, request| request.is_none() && !keys.contains(&key));
         self.settle();
     }
@@ -307,11 +322,13 @@ impl ServerSession {
         self.find_stale(|_, request| request == Some(id));
     }
 
-    /// Marks the chunks in flight for a single request that `is_stale` selects. Each is marked
+    /// Marks the chunks in flight for a single request, and for no view beside it, that `is_stale`
+    /// selects. Each is marked
     /// once, however often its request is cancelled: looking it up takes the lock of all sessions.
     fn find_stale(&mut self, is_stale: impl Fn(ChunkKey, Option<u32>) -> bool) {
         for (key, in_flight) in &mut self.in_flight {
-            if in_flight.requests == 1 && !in_flight.is_stale && is_stale(*key, in_flight.latest) {
+            let is_single = in_flight.requests == 1 && in_flight.view.is_none();
+            if is_single && !in_flight.is_stale && is_stale(*key, in_flight.latest) {
                 in_flight.is_stale = true;
                 self.stale.push(*key);
             }
@@ -360,7 +377,7 @@ impl ServerSession {
         }
     }
 
-    /// Requested chunks that wait for credit or for generation.
+    /// Explicit requests that wait for credit, or for a place among the chunks in generation.
     #[must_use]
     pub fn waiting_requests(&self) -> usize {
         self.requests.len()
@@ -406,8 +423,9 @@ impl ServerSession {
             self.send_chunk(request.key, frame);
             return Next::Delivered;
         }
-        let requests = self.in_flight.get(&request.key).map_or(0, |in_flight| in_flight.requests);
-        let in_flight = InFlight { requests: requests + 1, latest: request.request, is_stale: false };
+        let (requests, view) =
+            self.in_flight.get(&request.key).map_or((0, None), |known| (known.requests, known.view));
+        let in_flight = InFlight { requests: requests + 1, latest: request.request, is_stale: false, view };
         self.in_flight.insert(request.key, in_flight);
         Next::Generate(request, delivery)
     }
@@ -423,12 +441,13 @@ impl ServerSession {
 
     /// Queues a finished chunk frame, encoded for the requested delivery, for the client.
     pub fn deliver(&mut self, request: ChunkRequest, frame: Bytes) {
-        self.complete(request.key);
+        let view = self.complete(request.key);
         let is_refined =
             chunk_codec::kind_and_key(&frame).is_ok_and(|(kind, _)| kind == chunk_codec::KIND_REFINED);
         if is_refined && self.delivery_of(request.key) != Delivery::Refined {
             // The parent left the reference window in the meantime: generate again, exact.
             self.return_credit();
+            self.requeue_for_view(view, request.key);
             self.requeue(request);
         } else {
             self.send_chunk(request.key, frame);
@@ -440,6 +459,13 @@ impl ServerSession {
         match request.request {
             Some(id) => self.requests.push_front((id, request.key)),
             None => self.views.requeue(request.priority, request.key),
+        }
+    }
+
+    /// Queues a chunk for the active view, if that waited for a request which ended without it.
+    fn requeue_for_view(&mut self, priority: Option<u64>, key: ChunkKey) {
+        if let Some(priority) = priority {
+            self.views.requeue(priority, key);
         }
     }
 
@@ -459,8 +485,10 @@ impl ServerSession {
     /// Ends a stale request whose generation was cancelled. Its credit is returned; the client gets
     /// no message.
     pub fn withdraw(&mut self, request: ChunkRequest) {
-        self.complete(request.key);
+        let view = self.complete(request.key);
         self.return_credit();
+        self.requeue_for_view(view, request.key);
+        self.counts.cancelled += u64::from(request.request.is_some());
         self.settle();
     }
 
@@ -482,8 +510,10 @@ impl ServerSession {
         reason: RefusalReason,
         detail: impl Into<Cow<'static, str>>,
     ) {
-        self.complete(request.key);
+        let view = self.complete(request.key);
         self.return_credit();
+        // The refusal of a view's own request names the view.
+        self.requeue_for_view(view.filter(|_| request.request.is_some()), request.key);
         let id = request.request.or(self.view().map(|view| view.id)).unwrap_or(0);
         self.refuse(id, Some(request.key.into()), reason, detail);
         self.settle();
@@ -529,16 +559,18 @@ impl ServerSession {
         self.counts
     }
 
-    fn complete(&mut self, key: ChunkKey) {
-        if let Some(in_flight) = self.in_flight.get_mut(&key) {
-            in_flight.requests -= 1;
-            if in_flight.requests == 0 {
-                self.in_flight.remove(&key);
-            }
+    /// Ends a request in flight. Returns the priority of its chunk in the view that waits for it, if
+    /// no other request of the chunk is left.
+    fn complete(&mut self, key: ChunkKey) -> Option<u64> {
+        let in_flight = self.in_flight.get_mut(&key)?;
+        in_flight.requests -= 1;
+        if in_flight.requests > 0 {
+            return None;
         }
+        self.in_flight.remove(&key)?.view
     }
 
-    /// Announces a view once nothing of it is pending or in flight.
+    /// Announces a view once nothing of it is pending and no chunk of the session is in flight.
     fn settle(&mut self) {
         if self.in_flight.is_empty()
             && let Some((view, chunks)) = self.views.settle(&self.held)

@@ -23,7 +23,7 @@ struct ActiveView {
     /// Chunks of the whole selection.
     chunks: u32,
     /// Not yet requested, most urgent last. May contain chunks that the client holds or that are in
-    /// flight.
+    /// flight for a request of the client.
     pending: Vec<(u64, ChunkKey)>,
     /// Prefetch: not needed yet but soon, most urgent last; requested when the view is settled.
     ahead: Vec<(u64, ChunkKey)>,
@@ -74,13 +74,15 @@ impl ViewQueue {
     }
 
     /// Whether there is a chunk to request that is not known yet. Drops known ones before it.
-    pub(super) fn has_next(&mut self, is_known: impl Fn(&ChunkKey) -> bool) -> bool {
+    /// `is_known` gets the priority of a chunk that the view needs, and none of a prefetch.
+    pub(super) fn has_next(&mut self, mut is_known: impl FnMut(ChunkKey, Option<u64>) -> bool) -> bool {
         let Some(active) = &mut self.active else { return false };
-        let has_unknown = |chunks: &mut Vec<(u64, ChunkKey)>| {
-            while chunks.pop_if(|(_, key)| is_known(key)).is_some() {}
-            !chunks.is_empty()
-        };
-        has_unknown(&mut active.pending) || (active.settled && has_unknown(&mut active.ahead))
+        while active.pending.pop_if(|(priority, key)| is_known(*key, Some(*priority))).is_some() {}
+        if !active.pending.is_empty() || !active.settled {
+            return !active.pending.is_empty();
+        }
+        while active.ahead.pop_if(|(_, key)| is_known(*key, None)).is_some() {}
+        !active.ahead.is_empty()
     }
 
     /// The chunk that [`ViewQueue::has_next`] found: a needed one, or a prefetch once the view is

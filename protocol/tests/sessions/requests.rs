@@ -1,10 +1,11 @@
 //! Explicit requests: order, limits, cancellation, load shedding.
 
-use crate::pair::{Pair, next_request, refusals, send, view, welcomed, wire_keys};
+use crate::pair::{Pair, next_request, offer, refusals, send, view, welcomed, wire_keys};
 use bytes::Bytes;
 use protocol::client::Event;
-use protocol::message::{ClientMessage, RefusalReason, WireKey};
-use protocol::{DataFrame, control, limits};
+use protocol::message::{ClientMessage, RefusalReason, ServerMessage, WireKey};
+use protocol::server::{ChunkRequest, ServerSession};
+use protocol::{DataFrame, chunk_codec, control, limits};
 use terrain::ChunkKey;
 
 #[test]
@@ -139,4 +140,70 @@ fn shedding_refuses_the_latest_requests_first() {
     assert!(refused.iter().all(|(_, reason)| *reason == RefusalReason::Overloaded));
     assert_eq!(server.credits(), 64, "shed requests had taken no credit");
     assert_eq!(std::iter::from_fn(|| next_request(&mut server)).count(), 4);
+}
+
+/// A view whose chunks are all in flight for explicit requests, and these.
+fn requested_by_a_view_too() -> (ServerSession, Vec<ChunkRequest>) {
+    let mut pair = Pair::new(64);
+    pair.client.set_view(view(1, 300));
+    pair.run(usize::MAX);
+    let keys: Vec<WireKey> = pair.chunk_keys().into_iter().map(WireKey::from).collect();
+    assert!((2..32).contains(&keys.len()), "{} chunks", keys.len());
+    let mut server = welcomed(64);
+    send(&mut server, &ClientMessage::Request { id: 7, keys });
+    let in_flight: Vec<_> = std::iter::from_fn(|| next_request(&mut server)).collect();
+    send(&mut server, &ClientMessage::View(view(1 << 20, 300)));
+    (server, in_flight)
+}
+
+/// Delivers what a server requests, by request, until it requests nothing; the view is settled then.
+fn delivered(server: &mut ServerSession) -> Vec<Option<u32>> {
+    let land = offer().land;
+    let requested = std::iter::from_fn(|| {
+        let (request, delivery) = server.next_chunk()?;
+        let frame = chunk_codec::encode_for(delivery, &land.chunk(request.key), &offer().digest);
+        server.deliver(request, frame);
+        Some(request.request)
+    });
+    let requested = requested.collect();
+    let is_settled = |frame: Bytes| matches!(control::decode(&frame), Ok(ServerMessage::Settled(_)));
+    assert!(std::iter::from_fn(|| server.poll_transmit()).any(is_settled), "the view is not settled");
+    requested
+}
+
+#[test]
+fn a_view_requests_chunks_itself_whose_request_is_cancelled() {
+    let (mut server, in_flight) = requested_by_a_view_too();
+    send(&mut server, &ClientMessage::Cancel { id: 7 });
+    assert_eq!(server.take_stale().len(), in_flight.len(), "the view has not looked at them");
+    in_flight.iter().for_each(|request| server.withdraw(*request));
+    assert_eq!(server.counts().cancelled, in_flight.len() as u64);
+    assert_eq!(delivered(&mut server), vec![None; in_flight.len()]);
+
+    // The view has found them in flight, and waits for them.
+    let (mut server, in_flight) = requested_by_a_view_too();
+    assert_eq!(next_request(&mut server), None);
+    send(&mut server, &ClientMessage::Cancel { id: 7 });
+    assert!(server.take_stale().is_empty(), "the view needs them");
+    assert_eq!(server.poll_transmit(), None, "nothing is settled");
+    for request in &in_flight {
+        server.withdraw(*request);
+    }
+    assert_eq!(delivered(&mut server), vec![None; in_flight.len()]);
+}
+
+#[test]
+fn a_view_requests_chunks_itself_whose_request_is_refused() {
+    let (mut server, in_flight) = requested_by_a_view_too();
+    assert_eq!(next_request(&mut server), None);
+    for request in &in_flight {
+        server.fail(*request, RefusalReason::Overloaded, "too late");
+    }
+    assert_eq!(refusals(&mut server), vec![(7, RefusalReason::Overloaded); in_flight.len()]);
+    // The control: a chunk that fails for the view itself is refused and not requested again.
+    let (own, _) = server.next_chunk().unwrap();
+    assert_eq!(own.request, None);
+    server.fail(own, RefusalReason::Failed, "a fault");
+    assert_eq!(refusals(&mut server), [(1 << 20, RefusalReason::Failed)]);
+    assert_eq!(delivered(&mut server), vec![None; in_flight.len() - 1]);
 }

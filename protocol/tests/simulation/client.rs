@@ -6,6 +6,7 @@ use crate::truth;
 use bytes::Bytes;
 use protocol::backoff::Backoff;
 use protocol::client::{ClientConfig, ClientSession, Event};
+use protocol::limits::MAX_KEYS;
 use protocol::message::{ClientMessage, WireKey};
 use protocol::view::View;
 use protocol::{DataFrame, Delivery, control};
@@ -119,6 +120,24 @@ impl Client {
         self.is_settled = false;
         if let Some((session, _)) = &mut self.session {
             session.set_view(view);
+        }
+    }
+
+    /// Requests some chunks of the present view, which it needs whatever becomes of the request.
+    pub fn request_needed(&mut self, random: &mut Random) {
+        let (Some(view), Some((session, _))) = (&self.view, &mut self.session) else { return };
+        let is_chosen = |key: &ChunkKey| !self.held.contains(key) && random.percent(40);
+        let keys: Vec<ChunkKey> = truth::needed(view).into_iter().filter(is_chosen).take(MAX_KEYS).collect();
+        if !keys.is_empty() {
+            session.request(&keys);
+            self.requests += 1;
+        }
+    }
+
+    /// Cancels the last request.
+    pub fn cancel_last(&mut self) {
+        if let Some(id) = self.requests.checked_sub(1) {
+            self.send_raw(&ClientMessage::Cancel { id });
         }
     }
 

@@ -41,6 +41,7 @@ enum Event {
     Generated(u64),
     Fault,
     LastView(u32),
+    LastCancel(u32),
 }
 
 /// One connection.
@@ -133,7 +134,14 @@ impl Simulation {
             }
             Event::Act(_) => {}
             Event::LastView(client) => {
+                let cancels = self.now + self.random.ms(1..300);
                 self.clients[client as usize].look(&mut self.random);
+                self.clients[client as usize].request_needed(&mut self.random);
+                self.at(cancels, Event::LastCancel(client));
+                self.send_up(client);
+            }
+            Event::LastCancel(client) => {
+                self.clients[client as usize].cancel_last();
                 self.send_up(client);
             }
             Event::LookAgain(client) => {

@@ -89,19 +89,24 @@ impl TokenGate {
         }
     }
 
-    /// Reads the tokens again. Sessions that are open go on.
+    /// Reads the file of the tokens again, without using them. None without a file.
     ///
     /// # Errors
-    /// The file has no valid tokens; the earlier ones stay.
-    pub fn reload(&self) -> Result<Reloaded, UsageError> {
-        let (Some(file), Some(tokens)) = (&self.file, &self.tokens) else { return Ok(Reloaded::Unchanged) };
-        let read = Arc::new(file.read()?);
+    /// It has no valid tokens.
+    pub fn read(&self) -> Result<Option<TokenSet>, UsageError> {
+        self.file.as_ref().map(TokenFile::read).transpose()
+    }
+
+    /// Uses the tokens of [`TokenGate::read`] from now on. Sessions that are open go on.
+    pub fn replace(&self, read: Option<TokenSet>) -> Reloaded {
+        let (Some(read), Some(tokens)) = (read, &self.tokens) else { return Reloaded::Unchanged };
+        let read = Arc::new(read);
         let mut current = tokens.write().unwrap_or_else(PoisonError::into_inner);
         if *current == read {
-            return Ok(Reloaded::Unchanged);
+            return Reloaded::Unchanged;
         }
         *current = read;
-        Ok(Reloaded::Changed)
+        Reloaded::Changed
     }
 
     /// The check of a session whose client is at this address.
@@ -174,18 +179,19 @@ mod tests {
         std::fs::write(&path, "first\n").unwrap();
         let file = TokenFile::new(path.clone());
         let gate = gate(Some(file.read().unwrap()), Some(file));
-        assert_eq!(gate.reload(), Ok(Reloaded::Unchanged));
+        let reload = || gate.read().map(|read| gate.replace(read));
+        assert_eq!(reload(), Ok(Reloaded::Unchanged));
         std::fs::write(&path, "second\n").unwrap();
         assert_eq!(gate.check(None, Some("second")), Err(Refusal::Wrong));
-        assert_eq!(gate.reload(), Ok(Reloaded::Changed));
+        assert_eq!(reload(), Ok(Reloaded::Changed));
         assert_eq!(
             (gate.check(None, Some("second")), gate.check(None, Some("first"))),
             (Ok(()), Err(Refusal::Wrong))
         );
         std::fs::write(&path, "").unwrap();
-        assert!(gate.reload().is_err());
+        assert!(reload().is_err());
         assert_eq!(gate.check(None, Some("second")), Ok(()));
         std::fs::remove_file(path).unwrap();
-        assert!(gate.reload().is_err());
+        assert!(reload().is_err());
     }
 }

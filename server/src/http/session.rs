@@ -60,8 +60,10 @@ pub async fn stream(State(state): State<Arc<ServerState>>, mut request: Request)
         return Problem::new(ProblemKind::NoSession, "the server ends, retry later").into_response();
     }
     let Ok(permit) = Arc::clone(&state.session_permits).try_acquire_owned() else {
-        // There is a place when the client retries, if no other limit rejects it then.
-        if !state.memory.is_exceeded() && state.sessions_per_ip.try_acquire(peer, 0).is_some() {
+        // There is a place when the client retries, if no other limit rejects it then. Not for a
+        // client that may have no token: it would end the sessions of those that have one.
+        let is_admitted = offer.token.is_none() && !state.memory.is_exceeded();
+        if is_admitted && state.sessions_per_ip.try_acquire(peer, 0).is_some() {
             let _ = state.open_sessions.displace_for(peer, Instant::now());
         }
         return Problem::new(ProblemKind::NoSession, "no session is free, retry later").into_response();

@@ -1,7 +1,7 @@
 //! Turns of sites at expensive work of requests: the rendering of tiles, handshakes of TLS.
 //!
-//! Each site has as many pieces of work in line as can run at once; its further ones wait behind
-//! them. A site with many therefore delays one of another by a few, not by all.
+//! A semaphore of N permits grants them in order of arrival. A semaphore of each site lets at most N
+//! pieces of its work wait for those. So work waits for at most N pieces of each other site.
 
 use crate::limits::networks::client_site;
 use std::collections::HashMap;
@@ -17,12 +17,13 @@ type Site = Option<IpAddr>;
 pub struct SiteTurns {
     /// Pieces of work that run at once.
     at_once: usize,
-    line: Arc<Semaphore>,
+    /// Of all sites together.
+    global: Arc<Semaphore>,
     sites: Arc<Mutex<Sites>>,
 }
 
-/// Sites with work that waits or runs, with the number of its pieces, and the permits of those in
-/// line. At most one entry for each request or connection.
+/// Sites with work that waits or runs, with the number of its pieces, and the permits to wait for a
+/// global one. At most one entry for each request or connection.
 type Sites = HashMap<Site, (usize, Arc<Semaphore>)>;
 
 /// Permission for one piece of work; released on drop.
@@ -30,12 +31,12 @@ type Sites = HashMap<Site, (usize, Arc<Semaphore>)>;
 pub struct SiteTurn {
     _turn: OwnedSemaphorePermit,
     _place: OwnedSemaphorePermit,
-    _queue: SiteQueue,
+    _entry: SiteEntry,
 }
 
 /// A piece of work of a site, removed from the table on drop.
 #[derive(Debug)]
-struct SiteQueue {
+struct SiteEntry {
     site: Site,
     semaphore: Arc<Semaphore>,
     sites: Arc<Mutex<Sites>>,
@@ -45,23 +46,23 @@ impl SiteTurns {
     /// Turns of `at_once` pieces of work.
     #[must_use]
     pub fn new(at_once: usize) -> Self {
-        Self { at_once, line: Arc::new(Semaphore::new(at_once)), sites: Arc::default() }
+        Self { at_once, global: Arc::new(Semaphore::new(at_once)), sites: Arc::default() }
     }
 
-    /// Waits for the turn of a client. None if the server ends.
+    /// Waits for the turn of a client. Never none: no semaphore is closed.
     pub async fn acquire(&self, client: Option<IpAddr>) -> Option<SiteTurn> {
-        let queue = self.queue(client.map(client_site));
-        let place = Arc::clone(&queue.semaphore).acquire_owned().await.ok()?;
-        let turn = Arc::clone(&self.line).acquire_owned().await.ok()?;
-        Some(SiteTurn { _turn: turn, _place: place, _queue: queue })
+        let entry = self.entry(client.map(client_site));
+        let place = Arc::clone(&entry.semaphore).acquire_owned().await.ok()?;
+        let turn = Arc::clone(&self.global).acquire_owned().await.ok()?;
+        Some(SiteTurn { _turn: turn, _place: place, _entry: entry })
     }
 
-    fn queue(&self, site: Site) -> SiteQueue {
+    fn entry(&self, site: Site) -> SiteEntry {
         let mut sites = lock(&self.sites);
         let new = || (0, Arc::new(Semaphore::new(self.at_once)));
         let (pieces, semaphore) = sites.entry(site).or_insert_with(new);
         *pieces += 1;
-        SiteQueue { site, semaphore: Arc::clone(semaphore), sites: Arc::clone(&self.sites) }
+        SiteEntry { site, semaphore: Arc::clone(semaphore), sites: Arc::clone(&self.sites) }
     }
 
     /// Sites with work that waits or runs.
@@ -73,11 +74,11 @@ impl SiteTurns {
     /// Pieces of work that could begin now.
     #[cfg(test)]
     pub fn free(&self) -> usize {
-        self.line.available_permits()
+        self.global.available_permits()
     }
 }
 
-impl Drop for SiteQueue {
+impl Drop for SiteEntry {
     fn drop(&mut self) {
         let mut sites = lock(&self.sites);
         if let Some((pieces, _)) = sites.get_mut(&self.site) {

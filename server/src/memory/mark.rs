@@ -16,9 +16,12 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-/// The share of the limit beyond which no session begins, and the one below which the server is
-/// ready again; in eighths. Between them sessions begin as far as there is room below the first.
-const MARK: (u64, u64) = (6, 5);
+/// The share of the limit beyond which no session begins, in eighths.
+const MARK_EIGHTHS: u64 = 6;
+
+/// The share below which the server is ready again, in eighths. Between both sessions begin as far
+/// as there is room below the mark.
+const READY_EIGHTHS: u64 = 5;
 
 /// The share beyond which many sessions end, in eighths.
 const CRITICAL_EIGHTHS: u64 = 7;
@@ -27,15 +30,19 @@ const CRITICAL_EIGHTHS: u64 = 7;
 /// once take some 10 MiB in this time.
 const INTERVAL: Duration = Duration::from_millis(25);
 
-/// Memory that a session may take before the server notices, and the time in which as many sessions
-/// begin as have room below the mark.
+/// Memory that a session may take before the server notices.
 const SESSION_BYTES: u64 = 2 << 20;
+
+/// The time in which as many sessions begin as have room below the mark.
 const ADMISSION: Duration = Duration::from_millis(250);
 
-/// Sessions that end at once, as a divisor of the open ones, and the time until the next ones:
-/// beyond the mark, and in danger. In the second time the memory of the first ones is given back.
+/// Sessions that end at once beyond the mark, as a divisor of the open ones, and the time until the
+/// next ones.
 const SHED: (usize, Duration) = (8, Duration::from_secs(1));
-const SHED_IN_CRITICAL_EIGHTHS: (usize, Duration) = (2, Duration::from_millis(100));
+
+/// The same beyond the critical share, while memory grows. In this time the memory of the first ones
+/// is given back.
+const SHED_CRITICAL: (usize, Duration) = (2, Duration::from_millis(100));
 
 /// See the module.
 #[derive(Debug)]
@@ -68,7 +75,7 @@ impl MemoryMark {
         }
     }
 
-    /// Whether other servers had better get new sessions.
+    /// Whether `/readyz` answers 503 for lack of memory.
     #[must_use]
     pub fn is_reached(&self) -> bool {
         self.is_reached.load(Ordering::Relaxed)
@@ -102,7 +109,7 @@ impl MemoryMark {
 
     /// Makes room for the sessions of the next [`ADMISSION`].
     fn make_room(&self, used: u64, limit: u64) {
-        let left = (limit / 8 * MARK.0).saturating_sub(used) / SESSION_BYTES;
+        let left = (limit / 8 * MARK_EIGHTHS).saturating_sub(used) / SESSION_BYTES;
         let mut room = self.room();
         room.taken.clear();
         room.left = left;
@@ -113,30 +120,30 @@ impl MemoryMark {
         self.room.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Records the memory in use, bytes; true if that changes whether sessions may begin.
+    /// Records the memory in use, bytes; true if that changes whether the server is ready.
     fn record(&self, used: u64, limit: u64) -> bool {
         let was_reached = self.is_reached();
-        let mark = if was_reached { MARK.1 } else { MARK.0 };
+        let mark = if was_reached { READY_EIGHTHS } else { MARK_EIGHTHS };
         let is_reached = used >= limit / 8 * mark;
         self.is_reached.store(is_reached, Ordering::Relaxed);
-        self.is_exceeded.store(used >= limit / 8 * MARK.0, Ordering::Relaxed);
+        self.is_exceeded.store(used >= limit / 8 * MARK_EIGHTHS, Ordering::Relaxed);
         is_reached != was_reached
     }
 }
 
 /// When sessions ended, and the memory in use then.
 #[derive(Debug)]
-struct Pace {
+struct Shedding {
     last: Instant,
     used: u64,
 }
 
-impl Pace {
+impl Shedding {
     /// How many of the open sessions end now.
     fn due(&mut self, used: u64, limit: u64, open: usize, now: Instant) -> usize {
-        // The allocator gives memory back late: what does not grow is not in danger.
-        let is_in_danger = used >= limit / 8 * CRITICAL_EIGHTHS && used > self.used;
-        let (divisor, pause) = if is_in_danger { SHED_IN_CRITICAL_EIGHTHS } else { SHED };
+        // The allocator gives memory back late: what does not grow is not critical.
+        let is_critical = used >= limit / 8 * CRITICAL_EIGHTHS && used > self.used;
+        let (divisor, pause) = if is_critical { SHED_CRITICAL } else { SHED };
         if now < self.last + pause {
             return 0;
         }
@@ -151,7 +158,7 @@ pub async fn watch(mark: Arc<MemoryMark>, metrics: Arc<Metrics>, sessions: OpenS
     metrics.limits.memory_limit_bytes.set(i64::try_from(limit.bytes()).unwrap_or(i64::MAX));
     let mut ticks = tokio::time::interval(INTERVAL);
     ticks.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
-    let mut pace = Pace { last: Instant::now(), used: 0 };
+    let mut shedding = Shedding { last: Instant::now(), used: 0 };
     let mut room_at = Instant::now();
     let (files, mut is_unknown) = (OpenFiles::default(), false);
     loop {
@@ -169,7 +176,7 @@ pub async fn watch(mark: Arc<MemoryMark>, metrics: Arc<Metrics>, sessions: OpenS
         if mark.record(used, limit.bytes()) {
             let (used_mib, is_reached) = (used >> 20, mark.is_reached());
             if is_reached {
-                pace = Pace { last: now, used };
+                shedding = Shedding { last: now, used };
                 tracing::warn!(used_mib, %limit, "memory is nearly used up: no further sessions begin");
             } else {
                 tracing::info!(used_mib, %limit, "memory is free again");
@@ -180,7 +187,7 @@ pub async fn watch(mark: Arc<MemoryMark>, metrics: Arc<Metrics>, sessions: OpenS
             room_at = now + ADMISSION;
         }
         if mark.is_exceeded() {
-            let count = sessions.shed(pace.due(used, limit.bytes(), sessions.count(), now));
+            let count = sessions.shed(shedding.due(used, limit.bytes(), sessions.count(), now));
             if count > 0 {
                 let used_mib = used >> 20;
                 tracing::warn!(used_mib, %limit, count, "memory is nearly used up: sessions end");
@@ -194,7 +201,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn sessions_begin_again_below_a_lower_share() {
+    fn the_server_is_ready_again_below_a_lower_share() {
         const LIMIT: u64 = 800 << 20;
         let mark = MemoryMark::new(Some(MemoryLimit::of_machine(LIMIT)));
         assert!(!mark.is_reached());
@@ -248,16 +255,16 @@ mod tests {
     #[test]
     fn more_sessions_end_sooner_where_memory_grows_close_to_the_limit() {
         let start = Instant::now();
-        let mut pace = Pace { last: start, used: 600 };
+        let mut shedding = Shedding { last: start, used: 600 };
         let at = |ms| start + Duration::from_millis(ms);
-        assert_eq!(pace.due(600, 800, 100, at(0)), 0, "the mark was reached just now");
-        assert_eq!(pace.due(600, 800, 100, at(1000)), 13);
-        assert_eq!(pace.due(650, 800, 87, at(1500)), 0);
-        assert_eq!(pace.due(700, 800, 87, at(1500)), 44);
-        assert_eq!(pace.due(720, 800, 43, at(1550)), 0);
-        assert_eq!(pace.due(720, 800, 43, at(1600)), 22);
-        assert_eq!(pace.due(720, 800, 21, at(1700)), 0, "it does not grow");
-        assert_eq!(pace.due(720, 800, 21, at(2600)), 3);
-        assert_eq!(pace.due(730, 800, 0, at(2700)), 0);
+        assert_eq!(shedding.due(600, 800, 100, at(0)), 0, "the mark was reached just now");
+        assert_eq!(shedding.due(600, 800, 100, at(1000)), 13);
+        assert_eq!(shedding.due(650, 800, 87, at(1500)), 0);
+        assert_eq!(shedding.due(700, 800, 87, at(1500)), 44);
+        assert_eq!(shedding.due(720, 800, 43, at(1550)), 0);
+        assert_eq!(shedding.due(720, 800, 43, at(1600)), 22);
+        assert_eq!(shedding.due(720, 800, 21, at(1700)), 0, "it does not grow");
+        assert_eq!(shedding.due(720, 800, 21, at(2600)), 3);
+        assert_eq!(shedding.due(730, 800, 0, at(2700)), 0);
     }
 }

@@ -239,7 +239,10 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
                     match action {
                         KeepaliveAction::None => {}
                         // Written by the following flush.
-                        KeepaliveAction::Ping => self.socket.queue_as(Opcode::Ping, Bytes::new()),
+                        KeepaliveAction::Ping => {
+                            self.socket.queue_as(Opcode::Ping, Bytes::new());
+                            keepalive.on_ping();
+                        }
                         KeepaliveAction::Close => {
                             let code = CloseCode::Unresponsive;
                             return SessionEnd::with_code(EndReason::KeepaliveTimeout, code);

@@ -3,7 +3,8 @@
 use std::time::Duration;
 use tokio::time::Instant;
 
-/// Intervals without activity after which a session is closed. Each earlier interval sends a ping.
+/// Intervals without activity after which a session is closed, if it was pinged. Each earlier
+/// interval sends a ping.
 const TIMEOUT_INTERVALS: u32 = 3;
 
 /// The action that the driver must take.
@@ -21,34 +22,46 @@ pub enum KeepaliveAction {
 /// just misses the timeout would detect it a whole interval late.
 #[derive(Clone, Copy, Debug)]
 pub struct Keepalive {
-    interval: Duration,
     last_activity: Instant,
+    /// At least 1. Milliseconds, and not a duration: an idle session holds it.
+    interval_ms: u32,
+    /// Whether a ping was sent since then.
+    is_pinged: bool,
 }
 
 impl Keepalive {
-    /// Starts now. `interval` is longer than zero.
+    /// Starts now. `interval` is at least a millisecond.
     #[must_use]
-    pub const fn new(interval: Duration, now: Instant) -> Self {
-        Self { interval, last_activity: now }
+    pub fn new(interval: Duration, now: Instant) -> Self {
+        let interval_ms = u32::try_from(interval.as_millis()).unwrap_or(u32::MAX).max(1);
+        Self { last_activity: now, interval_ms, is_pinged: false }
     }
 
     /// Records that the peer sent something.
     pub const fn on_activity(&mut self, now: Instant) {
-        self.last_activity = now;
+        (self.last_activity, self.is_pinged) = (now, false);
     }
 
-    /// The action at a moment, and when to check again.
+    /// Records that a ping was sent.
+    pub const fn on_ping(&mut self) {
+        self.is_pinged = true;
+    }
+
+    /// The action at a moment, and when to check again. A check that is late by a long write pings
+    /// first: a peer that was not pinged had nothing to answer.
     #[must_use]
     pub fn check(&self, now: Instant) -> (KeepaliveAction, Instant) {
         let idle = now.saturating_duration_since(self.last_activity);
-        let passed = idle.as_nanos() / self.interval.as_nanos().max(1);
+        let interval = Duration::from_millis(self.interval_ms.into());
+        let passed = idle.as_millis() / u128::from(self.interval_ms);
         let passed = u32::try_from(passed).unwrap_or(u32::MAX).min(TIMEOUT_INTERVALS);
         let action = match passed {
             0 => KeepaliveAction::None,
+            TIMEOUT_INTERVALS if !self.is_pinged => return (KeepaliveAction::Ping, now + interval),
             TIMEOUT_INTERVALS => KeepaliveAction::Close,
             _ => KeepaliveAction::Ping,
         };
-        (action, self.last_activity + self.interval * (passed + 1))
+        (action, self.last_activity + interval * (passed + 1))
     }
 }
 
@@ -78,7 +91,10 @@ mod tests {
             );
             match action {
                 KeepaliveAction::None => {}
-                KeepaliveAction::Ping => pings.push(now),
+                KeepaliveAction::Ping => {
+                    pings.push(now);
+                    keepalive.on_ping();
+                }
                 KeepaliveAction::Close => return (pings, now),
             }
             check = next;
@@ -109,9 +125,14 @@ mod tests {
     #[test]
     fn a_late_check_returns_the_action_of_its_moment() {
         let start = Instant::now();
-        let keepalive = Keepalive::new(INTERVAL, start);
+        let mut keepalive = Keepalive::new(INTERVAL, start);
         assert_eq!(keepalive.check(start + INTERVAL * 5 / 2), (KeepaliveAction::Ping, start + INTERVAL * 3));
-        assert_eq!(keepalive.check(start + INTERVAL * 99).0, KeepaliveAction::Close);
+        let late = start + INTERVAL * 99;
+        assert_eq!(keepalive.check(late), (KeepaliveAction::Ping, late + INTERVAL), "it was not pinged");
+        keepalive.on_ping();
+        assert_eq!(keepalive.check(late).0, KeepaliveAction::Close);
+        keepalive.on_activity(late);
+        assert_eq!(keepalive.check(late + INTERVAL * 3).0, KeepaliveAction::Ping, "not since its activity");
         let zero = Keepalive::new(Duration::ZERO, start);
         assert_eq!(zero.check(start).0, KeepaliveAction::None, "no division by zero");
     }

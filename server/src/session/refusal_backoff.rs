@@ -32,8 +32,8 @@ const SMALL_READ: usize = 2048;
 const CAUTION: Duration = Duration::from_secs(1);
 
 /// Bytes that are read at once while more than one pause is owed: some 110 keys, which take a
-/// thread 0.4 ms in 0.1 s, however many sessions share it. A client that sends 120 views a second
-/// still sends less, and a message of 8 KiB comes within 0.8 s, a sixth of what it may take.
+/// thread 0.4 ms of each 0.1 s for each such session. A client that sends 120 views a second still
+/// sends less, and a message of 8 KiB arrives within 0.8 s, a sixth of the 5 s that it may take.
 const DEBTOR_READ: usize = 1024;
 
 /// The longest pause, so that a cancellation or a view behind rejected requests is read soon.
@@ -49,7 +49,7 @@ const MIN_PAUSE: Duration = Duration::from_millis(10);
 /// The rejections of a session.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Rejections {
-    /// Requested keys and grants.
+    /// Requested keys and grants; cancelled ones in generation, too, whose charge is returned.
     pub requests: u64,
     /// Views, superseded ones included.
     pub views: u64,
@@ -63,7 +63,7 @@ impl Rejections {
         let invalid = |counts: &SessionCounts| counts.refusals[RefusalReason::InvalidView.index()];
         let invalid_views = invalid(now) - invalid(before);
         Self {
-            requests: refusals(now) - refusals(before) - invalid_views,
+            requests: refusals(now) - refusals(before) - invalid_views + now.cancelled - before.cancelled,
             views: now.superseded_views - before.superseded_views + invalid_views,
         }
     }
@@ -279,7 +279,8 @@ mod tests {
         let mut now = SessionCounts { superseded_views: 7, ..before };
         now.refusals[RefusalReason::InvalidView.index()] = 3;
         now.refusals[RefusalReason::Overloaded.index()] = 4;
-        assert_eq!(Rejections::since(&before, &now), Rejections { requests: 4, views: 5 });
+        now.cancelled = 2;
+        assert_eq!(Rejections::since(&before, &now), Rejections { requests: 6, views: 5 });
         assert_eq!(Rejections::since(&now, &now), Rejections::default());
     }
 

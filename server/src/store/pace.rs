@@ -19,10 +19,10 @@ const UNKNOWN: Duration = Duration::from_millis(20);
 /// Time between two tries of a store that is held back, to see whether it still has to be.
 const RETRY: Duration = Duration::from_secs(5);
 
-/// Reads without a result may take this part of the time that chunks may wait.
+/// Reads without a result may take an eighth of the time that chunks may wait.
 const LOSS_PART: i64 = 8;
 
-/// Longest time that reads without a result may take ahead of that, and longest debt, nanoseconds.
+/// Largest budget of reads without a result, and largest deficit, nanoseconds.
 const MAX_LOSS: i64 = 100_000_000;
 
 /// One late answer among this many in time stops nothing: it is beyond the 99th percentile.
@@ -42,16 +42,17 @@ const MAX_OUTLIER: u64 = 4;
 /// Taken for the time of a read while the store fails.
 const FAILING: u64 = u64::MAX;
 
-/// Moving averages of times. Relaxed atomics: a lost update changes little.
+/// Moving averages of times, and counts of failures. Relaxed atomics: a lost update changes little.
 #[derive(Debug)]
 pub struct Pace {
     least_wait: Duration,
     /// By level, nanoseconds; 0 is unknown.
     made: [AtomicU64; TOP_LEVEL as usize + 1],
-    /// Of answers, nanoseconds; 0 is unknown. An answer in less than half of it replaces it.
+    /// Of answers, nanoseconds; 0 is unknown. An answer in less than half of the
+    /// larger of this and `presumed` replaces it.
     read: AtomicU64,
     /// The least time of a read, from reads that had no answer in time, nanoseconds; 0 is none. An
-    /// answer in less than half of it ends it.
+    /// answer in less than half of the larger of this and `read` ends it.
     presumed: AtomicU64,
     /// Answers in time since the last late one that stopped nothing, at most [`LATE_PART`].
     in_time: AtomicU32,
@@ -125,8 +126,8 @@ impl Pace {
         self.earn(key);
     }
 
-    /// A read brought a chunk. It saved about what the chunk takes to make, which counts as if it
-    /// had been made. Whether that ends a damage that was reported.
+    /// A read brought a chunk, which counts as if it had been made. Whether that ends a damage that
+    /// was reported.
     pub fn useful(&self, key: ChunkKey) -> bool {
         self.earn(key);
         self.invalid.store(0, Ordering::Relaxed);
@@ -188,7 +189,8 @@ impl Pace {
         presumed == FAILING
     }
 
-    /// A read failed or had no answer within its timeout. Whether the store fails since then.
+    /// A read failed or had no answer within its timeout. True once, when the store
+    /// begins to count as failing.
     pub fn failed(&self, now: Instant) -> bool {
         let failures = self.failures.fetch_add(1, Ordering::Relaxed).saturating_add(1);
         if failures < FAILURES {
@@ -251,8 +253,8 @@ mod tests {
         assert_eq!(pace.wait(cheap, false, now + RETRY), Some(MS(1)));
     }
 
-    /// The bound of 1.5 times the latency without a store follows from this: whatever a store does,
-    /// its reads take an eighth more than making the chunks.
+    /// The bound of 1.5 times the latency without a store follows from this: without a least wait,
+    /// reads that find nothing take an eighth of the time of making the chunks.
     #[test]
     fn reads_without_a_result_take_an_eighth_of_the_time_of_making() {
         let (pace, now) = (Pace::new(Duration::ZERO), Instant::now());

@@ -12,8 +12,8 @@ use tokio::runtime::Handle;
 use tokio::sync::{Semaphore, mpsc, oneshot};
 use tokio::time::{sleep, timeout};
 
-/// Frames that wait for their write: about 8 MiB. One more is dropped and counted, and each replica
-/// that needs the chunk makes it again.
+/// Frames that wait for their write: about 8 MiB, at most 30 MiB. One more is dropped and counted,
+/// and each replica that needs the chunk makes it again.
 const QUEUE: usize = 2048;
 
 /// Writes in flight.
@@ -23,7 +23,7 @@ const IN_FLIGHT: u32 = 8;
 /// takes, of the store too where it shares the processors, delays them.
 const PAUSE: Duration = Duration::from_millis(20);
 
-/// Timeout of one.
+/// Timeout of one write.
 const WRITE_TIMEOUT: Duration = Duration::from_secs(5);
 
 /// Longest wait for the pending writes on shutdown.
@@ -52,7 +52,8 @@ struct Shared {
     refused_until: Mutex<Option<Instant>>,
 }
 
-/// Time between two writes to a store that refuses them: a right may be given to it meanwhile.
+/// Time without writes to a store that refuses them: a permission may be granted meanwhile. After
+/// it up to [`IN_FLIGHT`] are sent until one is answered.
 const REFUSED: Duration = Duration::from_secs(60);
 
 impl Writer {
@@ -197,7 +198,7 @@ mod tests {
     }
 
     #[test]
-    fn a_minute_after_a_refusal_one_write_is_sent_again() {
+    fn a_minute_after_a_refusal_writes_are_sent_again() {
         let now = Instant::now();
         let shared = Shared {
             objects: Arc::new(InMemory::new()),

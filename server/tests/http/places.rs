@@ -2,6 +2,7 @@
 
 use crate::client::Server;
 use server::ServerConfig;
+use server::access::tokens::TokenSet;
 use std::time::Duration;
 use tokio::io::AsyncReadExt;
 use tokio::net::{TcpSocket, TcpStream};
@@ -93,6 +94,36 @@ async fn a_client_that_never_takes_its_place_ends_one_session() {
     }
     let closed = open.iter().filter(|stream| stream.try_read(&mut [0; 4]).is_ok()).count();
     assert_eq!(closed, 1);
+    drop(open);
+    server.stop().await;
+}
+
+/// Before, peers that can never have a session ended those of clients with a token.
+#[tokio::test]
+async fn a_client_without_a_token_displaces_no_session() {
+    let config = ServerConfig {
+        threads: 1,
+        max_sessions: 4,
+        handshake_timeout: LONG,
+        tokens: Some(TokenSet::one("sesame")),
+        ..ServerConfig::default()
+    };
+    let server = Server::start_with(config).await;
+    let token = [("Authorization", "Bearer sesame")];
+    let mut open = Vec::new();
+    for network in [2, 2, 3, 4] {
+        let (status, stream) = server.open_session_with([127, 0, 0, network], &[], &token).await;
+        assert_eq!(status, 101);
+        open.push(stream);
+    }
+    assert_eq!(server.open_session_from([127, 0, 0, 5]).await.0, 503);
+    // The control: the same client with a token.
+    assert_eq!(server.open_session_with([127, 0, 0, 5], &[], &token).await.0, 503);
+    let mut head = [0; 4];
+    timeout(LONG / 4, open[1].read_exact(&mut head)).await.expect("it is closed").unwrap();
+    assert_eq!(head[0], 0x88);
+    let closed = open.iter().filter(|stream| stream.try_read(&mut [0; 4]).is_ok()).count();
+    assert!(closed <= 1, "the displaced one alone");
     drop(open);
     server.stop().await;
 }

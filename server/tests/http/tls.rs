@@ -7,6 +7,7 @@ use rustls::pki_types::pem::PemObject;
 use rustls::pki_types::{CertificateDer, ServerName};
 use rustls::{ClientConfig, RootCertStore};
 use server::ServerConfig;
+use server::proxy::{ProxyHeader, TrustedProxies};
 use server::tls::Tls;
 use std::io;
 use std::net::IpAddr;
@@ -15,6 +16,7 @@ use std::sync::Arc;
 use std::time::Duration;
 use tokio::io::AsyncWriteExt;
 use tokio::net::TcpStream;
+use tokio::time::timeout;
 use tokio_rustls::TlsConnector;
 use tokio_rustls::client::TlsStream;
 use tokio_tungstenite::tungstenite::client::IntoClientRequest;
@@ -61,7 +63,12 @@ impl Drop for Folder {
 }
 
 /// A connection that accepts this certificate only.
-async fn connect(server: &Server, [certificate, _]: [&str; 2]) -> io::Result<TlsStream<TcpStream>> {
+async fn connect(server: &Server, certificate: [&str; 2]) -> io::Result<TlsStream<TcpStream>> {
+    connect_over(TcpStream::connect(server.address).await?, certificate).await
+}
+
+/// As [`connect`], over a stream on which nothing was read.
+async fn connect_over(stream: TcpStream, [certificate, _]: [&str; 2]) -> io::Result<TlsStream<TcpStream>> {
     let mut roots = RootCertStore::empty();
     roots.add(CertificateDer::from_pem_slice(certificate.as_bytes()).unwrap()).unwrap();
     let config = ClientConfig::builder_with_provider(Arc::new(ring::default_provider()))
@@ -69,7 +76,6 @@ async fn connect(server: &Server, [certificate, _]: [&str; 2]) -> io::Result<Tls
         .unwrap()
         .with_root_certificates(roots)
         .with_no_client_auth();
-    let stream = TcpStream::connect(server.address).await?;
     TlsConnector::from(Arc::new(config)).connect(ServerName::try_from("localhost").unwrap(), stream).await
 }
 
@@ -90,11 +96,11 @@ async fn requests_and_sessions_work_over_tls_and_a_new_certificate_is_taken() {
 
     assert!(connect(&server, SECOND).await.is_err(), "the control");
     folder.write(SECOND);
-    tls.reload().unwrap();
+    tls.replace(tls.read().unwrap());
     assert!(connect(&server, SECOND).await.is_ok() && connect(&server, FIRST).await.is_err());
     // A certificate with the key of another one changes nothing.
     folder.write([FIRST[0], SECOND[1]]);
-    assert!(tls.reload().is_err());
+    assert!(tls.read().is_err());
     assert!(connect(&server, SECOND).await.is_ok());
 }
 
@@ -148,6 +154,45 @@ async fn a_peer_that_does_not_finish_the_handshake_is_closed_and_delays_no_clien
     ] {
         assert!(text.lines().any(|found| found == line), "{line} is not in {text}");
     }
+}
+
+/// Before, a connection of a proxy that was chosen to end in its handshake of TLS kept its place.
+#[tokio::test]
+async fn clients_of_a_proxy_that_do_not_finish_the_handshake_leave_places_to_others() {
+    let folder = Folder::new("places", FIRST);
+    // Longer than the test, so that no silent connection ends by itself.
+    let handshake_timeout = Duration::from_secs(120);
+    let proxies = TrustedProxies::parse(&["127.0.0.1".to_owned()], Some(ProxyHeader::ProxyProtocol)).unwrap();
+    let config = ServerConfig {
+        tls: Some(folder.tls()),
+        threads: 1,
+        max_sessions: 4,
+        handshake_timeout,
+        proxies,
+        ..ServerConfig::default()
+    };
+    let server = Server::start_with(config).await;
+    let connect_from = async |client: u8| {
+        let mut stream = TcpStream::connect(server.address).await.unwrap();
+        let header = format!("PROXY TCP4 192.0.2.{client} 127.0.0.1 4711 443\r\n");
+        stream.write_all(header.as_bytes()).await.unwrap();
+        stream
+    };
+    let mut silent = Vec::new();
+    for client in 2..14 {
+        for _ in 0..40 {
+            silent.push(connect_from(client).await);
+        }
+    }
+    for client in 101..111 {
+        let asked = async {
+            let stream = connect_over(connect_from(client).await, FIRST).await.expect("it has a place");
+            request_over(stream, "GET", "/livez", &[]).await.status
+        };
+        assert_eq!(timeout(handshake_timeout / 4, asked).await.expect("it is answered"), 200);
+    }
+    drop(silent);
+    server.stop().await;
 }
 
 #[test]

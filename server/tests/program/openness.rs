@@ -43,7 +43,7 @@ fn a_server_beyond_the_loopback_warns_of_what_it_lacks() {
         let arguments = [&["--listen", listen][..], &options.concat()].concat();
         let server = Server::start(&arguments);
         wait_for_answer(&server);
-        let log = server.log_to_end();
+        let log = server.log();
         for warning in [NO_TLS, NO_TOKENS] {
             let lines = log.lines().filter(|line| line.contains("WARN") && line.contains(warning)).count();
             assert_eq!(lines, usize::from(expected.contains(&warning)), "{arguments:?}, {warning}: {log}");

@@ -116,7 +116,7 @@ async fn a_peer_that_breaks_a_rule_has_one_line_with_its_address_and_the_reason(
     // The control: a peer that keeps the rules.
     assert!(has_status(&head(&mut connect(&server, 19).await, &upgrade("")).await, 101));
 
-    let log = server.log_to_end();
+    let log = server.log();
     let about = "peer breaks the rules";
     assert_eq!(log.matches(about).count(), 8, "{log}");
     for (last_byte, reason) in [
@@ -136,4 +136,22 @@ async fn a_peer_that_breaks_a_rule_has_one_line_with_its_address_and_the_reason(
         assert!(lines[0].contains("WARN") && lines[0].contains(about), "{}", lines[0]);
         assert!(lines[0].contains(&reason) && lines[0].contains("events=1"), "{reason}: {}", lines[0]);
     }
+}
+
+/// Before, the first thread that logged stopped with the lock of standard error, and soon all did.
+#[tokio::test]
+async fn a_log_that_is_not_read_does_not_stop_the_server() {
+    let server = Server::start(&["--listen", "127.0.0.1:0"]);
+    // One line for each address, together more than a pipe holds.
+    for number in 0..900_u16 {
+        let [high, low] = number.to_be_bytes();
+        let socket = TcpSocket::new_v4().unwrap();
+        socket.bind(([127, 0, 2 + high, low], 0).into()).unwrap();
+        let mut stream = socket.connect(server.address.parse().unwrap()).await.unwrap();
+        stream.write_all(b"no HTTP\r\n\r\n").await.unwrap();
+        read_all(&mut stream).await;
+    }
+    assert!(server.get("/livez", "").starts_with("HTTP/1.1 200"));
+    let log = server.log();
+    assert!(log.len() > 64 << 10, "the control: {} bytes in {} lines", log.len(), log.lines().count());
 }

@@ -50,19 +50,16 @@ impl Server {
         Self { scheme: scheme.into(), address: address.into(), child }
     }
 
-    /// Kills it; what it logged.
+    /// Ends it; what it logged to its end. As a service manager does, where there are signals: a
+    /// process that is killed loses lines that wait to be written.
     pub fn log(mut self) -> String {
-        let mut log = String::new();
+        #[cfg(unix)]
+        {
+            let id = self.child.id().to_string();
+            assert!(Command::new("kill").args(["-TERM", &id]).status().unwrap().success());
+        }
+        #[cfg(not(unix))]
         self.child.kill().unwrap();
-        self.child.stderr.take().unwrap().read_to_string(&mut log).unwrap();
-        log
-    }
-
-    /// Ends it as a service manager does; what it logged to its end.
-    #[cfg(unix)]
-    pub fn log_to_end(mut self) -> String {
-        let id = self.child.id().to_string();
-        assert!(Command::new("kill").args(["-TERM", &id]).status().unwrap().success());
         let mut log = String::new();
         self.child.stderr.take().unwrap().read_to_string(&mut log).unwrap();
         log

@@ -77,8 +77,8 @@ impl Selector {
         matches!(self.phase, Phase::Done)
     }
 
-    /// Examines at most `chunks` chunks (at least 1), makes one measurement of errors, or
-    /// sorts the splits of one level. Returns whether the selection is done.
+    /// Examines at most `chunks` chunks (at least 1), or sorts the splits of one level. A measurement
+    /// of errors counts as 4,000 chunks. Returns whether the selection is done.
     pub fn step(&mut self, chunks: usize) -> bool {
         let mut left = chunks.max(1);
         while left > 0 && !self.is_done() {
@@ -130,8 +130,8 @@ impl Selector {
                     }
                     (end, work) = (end + 1, work + 1);
                 }
-                // One measurement is the work of a step: chunks that have a known error cost next
-                // to nothing.
+                // One measurement is the work of a small step: chunks that have a known error cost
+                // next to nothing.
                 Progress::Measured => work = work.saturating_add(MEASUREMENT),
             }
         }

@@ -156,9 +156,9 @@ pub const ALL: [Step; 18] = [
 pub const LONG: [Step; 2] = [
     Step {
         name: "long-simulation",
-        about: "the session machines in 1,000 seeds of clients, links and faults",
+        about: "the session machines, and the server's sessions, in 1,000 seeds of clients, links and faults",
         again: "TOMBOLO_SIMULATION_SEEDS=1000 cargo nextest run --workspace -E \
-                'package(tombolo-protocol) & binary(simulation)'",
+                'kind(test) & binary(simulation)'",
         action: long_simulation,
     },
     Step {
@@ -173,7 +173,7 @@ pub const LONG: [Step; 2] = [
 fn long_simulation(host: &dyn Host) -> Result<Shown> {
     // Chosen among the workspace: one package alone would be built with other features.
     let mut tests = process::cargo("nextest run --workspace -E");
-    tests.arg("package(tombolo-protocol) & binary(simulation)").env("TOMBOLO_SIMULATION_SEEDS", LONG_SEEDS);
+    tests.arg("kind(test) & binary(simulation)").env("TOMBOLO_SIMULATION_SEEDS", LONG_SEEDS);
     ran(host, tests)
 }
 

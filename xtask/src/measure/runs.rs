@@ -107,7 +107,7 @@ impl Runs {
         Self { rows: rows.collect() }
     }
 
-    /// Number of runs with figures: those of the row that was recorded most often.
+    /// Number of runs with figures, at least 1: those of the row that was recorded most often.
     pub fn count(&self) -> usize {
         let rows = || self.rows.iter().filter(|row| row.what != FAILED);
         let times = |row: &Stored| rows().filter(|other| other.what == row.what).count();

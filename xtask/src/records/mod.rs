@@ -126,14 +126,21 @@ pub fn all() -> Result<Vec<Record>> {
     Ok(record::all(&files()?))
 }
 
+/// The newest record of each measurement on each machine.
+///
+/// # Errors
+/// Files cannot be read.
+pub fn newest() -> Result<Vec<Record>> {
+    Ok(record::newest(record::all(&files()?)).0)
+}
+
 /// The newest records of a measurement that are not out of date, one for each machine.
 ///
 /// # Errors
 /// Files cannot be read.
 pub fn of(name: &str) -> Result<Vec<Record>> {
-    let (records, _) = record::newest(record::all(&files()?));
     let is_own = |record: &Record| record.name == name && stale::reason(name, record.commit()).is_none();
-    Ok(records.into_iter().filter(is_own).collect())
+    Ok(newest()?.into_iter().filter(is_own).collect())
 }
 
 /// Whether a measurement has a list of what it measures.

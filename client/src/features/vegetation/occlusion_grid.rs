@@ -17,7 +17,8 @@ use terrain::constants::{SPACING_BITS, UNITS_PER_METRE};
 /// log2 of the side of a tile, units: that of a chunk of level 0.
 const TILE_UNIT_BITS: u32 = TILE_BITS - FINE_BITS;
 
-/// Farthest plants and occlusion tests, metres: the grid without the eye's own tile.
+/// Farthest clumps that are culled one by one, and farthest occlusion tests, metres: less than the
+/// 1,920 m that the grid covers in every direction.
 pub const REACH_M: f64 = 1900.0;
 
 /// The occlusion grid.
@@ -67,7 +68,8 @@ impl OcclusionGrid {
         ]
     }
 
-    /// Enters a drawn chunk into the tiles that it covers.
+    /// Enters a drawn chunk into the tiles that it covers. A chunk that is not cached, or beyond
+    /// [`MAX_OCCLUDER_CHUNKS`], hides nothing, which is conservative.
     fn put(&mut self, cache: &ChunkCache, drawn: &Drawn) {
         let key = drawn.key;
         let Some(chunk) = cache.get(key) else { return };

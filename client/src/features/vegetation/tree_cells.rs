@@ -115,8 +115,8 @@ impl TreePasses {
         }
     }
 
-    /// Records the writing of the cells, after the culling of the trees; without groups, and the
-    /// cells along a side of the grid, there are no trees.
+    /// Records the writing of the cells, after the culling of the trees. `groups` are the bind groups
+    /// and the number of cells along a side of the grid; none clears the trees.
     pub fn record(
         &self,
         land: &wgpu::BindGroup,
@@ -128,7 +128,7 @@ impl TreePasses {
             trees.clear(encoder);
             return;
         };
-        // A multiple of the workgroup: the side is one of 8.
+        // The side is a multiple of 8, so the cells are a multiple of the workgroup.
         let cells = side * side;
         let mut pass = compute_pass(encoder, "place trees");
         pass.set_bind_group(0, land, &[]);

@@ -51,6 +51,9 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
             has_ended |= is_data || !self.socket.is_fragmented();
             yield_now().await;
         }
+        if self.session.is_welcomed() {
+            self.stats.set_welcomed();
+        }
         let by = Instant::now() + self.state.config.message_timeout;
         self.message_deadline.record(has_ended, self.socket.is_in_message(), by);
         self.cancel_stale();

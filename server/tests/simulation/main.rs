@@ -1,0 +1,87 @@
+//! Simulation of a server's sessions under faults, in virtual time and from a seed: the loop of a
+//! session with its WebSocket, the generation service with its thread, and the client's session
+//! machine, over pipes that delay, stall, cut and fall silent.
+//!
+//! Checked: every chunk is paid by a credit, asked for, sent once, and equal to direct generation;
+//! no session panics or is closed as a breach; after the faults every view is completed, every
+//! request answered, and no other session is open. Every bug of `plant` must be found.
+//!
+//!     TOMBOLO_SIMULATION_SEEDS=1000 cargo test -p tombolo-server --test simulation
+//!     TOMBOLO_SIMULATION_SEED=17 cargo test -p tombolo-server --test simulation
+//!
+//! A seed decides views, requests, delays and faults. Of several events of one moment tokio chooses
+//! the first at random, so a failure may need some runs of its seed. The simulation of the session
+//! machines alone (`protocol/tests/simulation`), whose client is used here, has no such choice.
+//!
+//! | module | content |
+//! | --- | --- |
+//! | `simulation` | clients, faults, and what holds at the end |
+//! | `connection` | the client's end of a connection |
+//! | `link` | the network between both ends |
+//! | `server` | a server without a listener |
+//! | `gate` | the generation thread in virtual time |
+//! | `plant` | bugs |
+//! | `client`, `ledger`, `truth` | the client's machine, what it asked for, chunks by direct generation |
+
+#![cfg(target_os = "linux")]
+
+#[path = "../../../protocol/tests/simulation/client.rs"]
+mod client;
+mod connection;
+mod gate;
+#[path = "../../../protocol/tests/simulation/ledger.rs"]
+mod ledger;
+mod link;
+mod plant;
+mod server;
+mod simulation;
+#[expect(dead_code, reason = "the server encodes its frames itself")]
+#[path = "../../../protocol/tests/simulation/truth.rs"]
+mod truth;
+
+use plant::{PLANTS, Plant};
+use simulation::run;
+
+/// Seeds of a run in `cargo ci`.
+const SEEDS: u64 = 20;
+
+/// Seeds within which every bug must be found.
+const SEEDS_OF_BUGS: u64 = 20;
+
+fn number(name: &str) -> Option<u64> {
+    std::env::var(name)
+        .ok()
+        .map(|text| text.parse().unwrap_or_else(|_| panic!("{name} is no number: {text}")))
+}
+
+#[test]
+fn every_seed_keeps_the_invariants() {
+    let seeds = match number("TOMBOLO_SIMULATION_SEED") {
+        Some(seed) => seed..seed + 1,
+        None => 0..number("TOMBOLO_SIMULATION_SEEDS").unwrap_or(SEEDS),
+    };
+    let mut chunks = 0;
+    let mut failed = Vec::new();
+    for seed in seeds.clone() {
+        match run(seed, Plant::Nothing) {
+            Ok(received) => chunks += received,
+            Err(error) => failed.push(format!(
+                "seed {seed}: {error}; again: TOMBOLO_SIMULATION_SEED={seed} \
+                 cargo test -p tombolo-server --test simulation every_seed"
+            )),
+        }
+    }
+    println!("{} seeds, {chunks} chunks, {} failed", seeds.end - seeds.start, failed.len());
+    assert!(failed.is_empty(), "{failed:#?}");
+    assert!(chunks > 0, "the control: something was sent");
+}
+
+#[test]
+fn every_planted_bug_is_found() {
+    for plant in PLANTS {
+        let found = (0..SEEDS_OF_BUGS).find_map(|seed| Some((seed, run(seed, plant).err()?)));
+        let (seed, error) =
+            found.unwrap_or_else(|| panic!("{plant:?} is not found in {SEEDS_OF_BUGS} seeds"));
+        println!("{plant:?}: seed {seed}: {error}");
+    }
+}
