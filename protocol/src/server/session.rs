@@ -323,8 +323,8 @@ impl ServerSession {
     }
 
     /// Marks the chunks in flight for a single request, and for no view beside it, that `is_stale`
-    /// selects. Each is marked
-    /// once, however often its request is cancelled: looking it up takes the lock of all sessions.
+    /// selects. Each is marked once, however often its request is cancelled: looking it up takes the
+    /// lock of all sessions.
     fn find_stale(&mut self, is_stale: impl Fn(ChunkKey, Option<u32>) -> bool) {
         for (key, in_flight) in &mut self.in_flight {
             let is_single = in_flight.requests == 1 && in_flight.view.is_none();

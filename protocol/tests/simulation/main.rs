@@ -15,17 +15,20 @@
 //! | `generation`, `link` | what lies between |
 //! | `ledger`, `truth` | what a client asked for; chunks by direct generation |
 //! | `plant` | bugs |
+//! | `seeds` | seeds of a run |
 
 mod client;
 mod generation;
 mod ledger;
 mod link;
 mod plant;
+mod seeds;
 mod server;
 mod simulation;
 mod truth;
 
 use plant::{PLANTS, Plant};
+use seeds::seeds;
 use simulation::run;
 
 /// Seeds of a run in `cargo ci`.
@@ -34,18 +37,9 @@ const SEEDS: u64 = 40;
 /// Seeds within which every bug must be found.
 const SEEDS_OF_BUGS: u64 = 40;
 
-fn number(name: &str) -> Option<u64> {
-    std::env::var(name)
-        .ok()
-        .map(|text| text.parse().unwrap_or_else(|_| panic!("{name} is no number: {text}")))
-}
-
 #[test]
 fn every_seed_keeps_the_invariants() {
-    let seeds = match number("TOMBOLO_SIMULATION_SEED") {
-        Some(seed) => seed..seed + 1,
-        None => 0..number("TOMBOLO_SIMULATION_SEEDS").unwrap_or(SEEDS),
-    };
+    let seeds = seeds(SEEDS);
     let failed: Vec<String> = seeds
         .clone()
         .filter_map(|seed| {

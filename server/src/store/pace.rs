@@ -48,8 +48,8 @@ pub struct Pace {
     least_wait: Duration,
     /// By level, nanoseconds; 0 is unknown.
     made: [AtomicU64; TOP_LEVEL as usize + 1],
-    /// Of answers, nanoseconds; 0 is unknown. An answer in less than half of the
-    /// larger of this and `presumed` replaces it.
+    /// Of answers, nanoseconds; 0 is unknown. An answer in less than half of the larger of this
+    /// and `presumed` replaces it.
     read: AtomicU64,
     /// The least time of a read, from reads that had no answer in time, nanoseconds; 0 is none. An
     /// answer in less than half of the larger of this and `read` ends it.

@@ -21,7 +21,7 @@
 //! | `server` | a server without a listener |
 //! | `gate` | the generation thread in virtual time |
 //! | `plant` | bugs |
-//! | `client`, `ledger`, `truth` | the client's machine, what it asked for, chunks by direct generation |
+//! | `client`, `ledger`, `truth`, `seeds` | of the other simulation |
 
 #![cfg(target_os = "linux")]
 
@@ -33,6 +33,8 @@ mod gate;
 mod ledger;
 mod link;
 mod plant;
+#[path = "../../../protocol/tests/simulation/seeds.rs"]
+mod seeds;
 mod server;
 mod simulation;
 #[expect(dead_code, reason = "the server encodes its frames itself")]
@@ -40,6 +42,7 @@ mod simulation;
 mod truth;
 
 use plant::{PLANTS, Plant};
+use seeds::seeds;
 use simulation::run;
 
 /// Seeds of a run in `cargo ci`.
@@ -48,18 +51,9 @@ const SEEDS: u64 = 20;
 /// Seeds within which every bug must be found.
 const SEEDS_OF_BUGS: u64 = 20;
 
-fn number(name: &str) -> Option<u64> {
-    std::env::var(name)
-        .ok()
-        .map(|text| text.parse().unwrap_or_else(|_| panic!("{name} is no number: {text}")))
-}
-
 #[test]
 fn every_seed_keeps_the_invariants() {
-    let seeds = match number("TOMBOLO_SIMULATION_SEED") {
-        Some(seed) => seed..seed + 1,
-        None => 0..number("TOMBOLO_SIMULATION_SEEDS").unwrap_or(SEEDS),
-    };
+    let seeds = seeds(SEEDS);
     let mut chunks = 0;
     let mut failed = Vec::new();
     for seed in seeds.clone() {
