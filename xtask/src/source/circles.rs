@@ -16,16 +16,39 @@ type Module = Vec<String>;
 /// An edge between two sibling modules, with the file and line of its import.
 type Arrows = BTreeMap<(Module, Module), (String, usize)>;
 
+/// The modules of a package, each with its path and text.
+type Modules<'a> = BTreeMap<Module, (&'a str, &'a str)>;
+
 /// Each cycle once, with one of its import lines.
 pub fn check(files: &Files) -> Vec<Finding> {
-    let mut sources: BTreeMap<&str, BTreeMap<Module, (&str, &str)>> = BTreeMap::new();
+    sources(files).values().flat_map(|modules| circles(&arrows(modules))).collect()
+}
+
+/// The files of the same package that some files import.
+#[cfg(test)]
+pub fn imported(files: &Files, is_importer: impl Fn(&str) -> bool) -> BTreeSet<String> {
+    let mut found = BTreeSet::new();
+    for modules in sources(files).values() {
+        let reexports = reexports(modules);
+        for (module, (_, text)) in modules.iter().filter(|(_, (path, _))| is_importer(path)) {
+            let resolved =
+                imports(text).into_iter().filter_map(|(_, path)| resolve(module, &path, modules, &reexports));
+            found.extend(resolved.filter_map(|target| Some(modules.get(&target)?.0.to_owned())));
+        }
+    }
+    found
+}
+
+/// The modules of every package, without tests.
+fn sources(files: &Files) -> BTreeMap<&str, Modules<'_>> {
+    let mut sources: BTreeMap<&str, Modules<'_>> = BTreeMap::new();
     for (path, text) in files.with_extension(&["rs"]) {
         let Some((package, file)) = path.split_once("/src/") else { continue };
         if !is_test(path) && files.0.contains_key(&format!("{package}/Cargo.toml")) {
             sources.entry(package).or_default().insert(module_of(file), (path, text));
         }
     }
-    sources.values().flat_map(|modules| circles(&arrows(modules))).collect()
+    sources
 }
 
 fn module_of(file: &str) -> Module {
@@ -35,7 +58,7 @@ fn module_of(file: &str) -> Module {
     if ["lib", "main"].contains(&stem) { Vec::new() } else { parts }
 }
 
-fn arrows(modules: &BTreeMap<Module, (&str, &str)>) -> Arrows {
+fn arrows(modules: &Modules<'_>) -> Arrows {
     let reexports = reexports(modules);
     let mut arrows = Arrows::new();
     for (module, (path, text)) in modules {
@@ -53,7 +76,7 @@ fn arrows(modules: &BTreeMap<Module, (&str, &str)>) -> Arrows {
 }
 
 /// Names that a module offers although another one defines them: module and name, to module.
-fn reexports(modules: &BTreeMap<Module, (&str, &str)>) -> BTreeMap<(Module, String), Module> {
+fn reexports(modules: &Modules<'_>) -> BTreeMap<(Module, String), Module> {
     let mut found = BTreeMap::new();
     for (module, (_, text)) in modules {
         for line in text
@@ -81,7 +104,7 @@ fn reexports(modules: &BTreeMap<Module, (&str, &str)>) -> BTreeMap<(Module, Stri
 fn resolve(
     from: &Module,
     path: &[String],
-    modules: &BTreeMap<Module, (&str, &str)>,
+    modules: &Modules<'_>,
     reexports: &BTreeMap<(Module, String), Module>,
 ) -> Option<Module> {
     let mut rest = path;

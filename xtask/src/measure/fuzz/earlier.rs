@@ -85,6 +85,8 @@ fn by_commit(days: &Path) -> Result<Vec<(String, Runs)>> {
 mod tests {
     use super::*;
     use crate::measure::runs;
+    use crate::source::Files;
+    use crate::source::circles::imported;
     use bars::Bar;
 
     #[test]
@@ -126,5 +128,21 @@ mod tests {
                 assert!(excluded.is_some() || records::measures("fuzz", path), "{path}");
             }
         }
+    }
+
+    #[test]
+    fn the_code_of_a_target_imports_no_other_file_of_the_server() {
+        let files = Files::tracked().unwrap();
+        let outside = |code: &[&str]| {
+            let is_listed = |file: &str| code.iter().any(|path| file.starts_with(path));
+            imported(&files, |file| file.starts_with("server/") && is_listed(file))
+                .into_iter()
+                .filter(|file| !is_listed(file))
+                .count()
+        };
+        for target in TARGETS {
+            assert_eq!(outside(target.code), 0, "{}", target.name);
+        }
+        assert_ne!(outside(&["server/src/websocket/socket.rs"]), 0, "the control");
     }
 }
