@@ -118,8 +118,8 @@ pub enum HeadlessError {
     /// No session was established, or it ended for good.
     #[error("{0}")]
     Stream(String),
-    /// The server rejected the view.
-    #[error("the server rejected the view: {0}")]
+    /// The server refused the view.
+    #[error("the server refused the view: {0}")]
     Refused(String),
     /// The view was not complete in time.
     #[error("the view was not complete after {seconds} s ({state}): allow more time with --timeout")]
@@ -360,10 +360,10 @@ fn fill(
         match streamer.link() {
             Link::Connected(_) => lost = None,
             Link::Waiting { cause, .. } => lost = Some(cause.clone()),
-            Link::Connecting | Link::Refused(_) => {}
+            Link::Connecting | Link::GivenUp(_) => {}
         }
         match streamer.link() {
-            Link::Refused(cause) => return Err(HeadlessError::Stream(cause.clone())),
+            Link::GivenUp(cause) => return Err(HeadlessError::Stream(cause.clone())),
             Link::Waiting { cause, .. }
                 if streamer.failures() >= FIRST_ATTEMPTS && streamer.milestones().first_chunk.is_none() =>
             {

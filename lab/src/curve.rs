@@ -43,6 +43,16 @@ impl<R> Sheet<R> {
         self.rows.iter().zip(&mut self.table.rows).for_each(|(row, values)| values.push(value(row)));
     }
 
+    /// Declares several columns.
+    pub fn columns<const N: usize>(
+        &mut self,
+        names: [impl Into<String>; N],
+        values: impl Fn(&R) -> [f64; N],
+    ) {
+        self.table.columns.extend(names.map(Into::into));
+        self.rows.iter().zip(&mut self.table.rows).for_each(|(row, all)| all.extend(values(row)));
+    }
+
     /// Pairs of two columns.
     pub fn points(&self, x: &str, y: &str) -> Vec<(f64, f64)> {
         self.table.points(x, y)

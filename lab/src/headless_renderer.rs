@@ -54,12 +54,8 @@ impl HeadlessRenderer {
         Self::open_with(size, slots, wgpu::Features::empty())
     }
 
-    /// The same with GPU timestamps, where the adapter has them.
-    pub fn open_timed(size: (u32, u32), slots: u32) -> Result<Self, GpuError> {
-        Self::open_with(size, slots, wgpu::Features::TIMESTAMP_QUERY)
-    }
-
-    fn open_with(size: (u32, u32), slots: u32, optional: wgpu::Features) -> Result<Self, GpuError> {
+    /// The same with optional features of the adapter.
+    pub fn open_with(size: (u32, u32), slots: u32, optional: wgpu::Features) -> Result<Self, GpuError> {
         let gpu = pollster::block_on(Gpu::open_with(gpu::instance(None), None, optional))?;
         let slots = ChunkPool::slots_within(&gpu.device.limits(), slots);
         let options = RenderOptions {
@@ -88,7 +84,7 @@ impl HeadlessRenderer {
 
     /// Whether the adapter is a software rasteriser.
     pub fn is_software(&self) -> bool {
-        self.gpu.adapter.get_info().device_type == wgpu::DeviceType::Cpu
+        self.gpu.is_software()
     }
 
     /// Bytes on the GPU that one more chunk takes.

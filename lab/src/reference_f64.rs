@@ -69,12 +69,6 @@ impl ReferenceF64 {
     pub fn node(&self, x: i32, z: i32, octaves: Octaves) -> (Node<f64>, Stages<f64>) {
         self.world.node(Exact { x, z }, &self.world.lobes(x, z), octaves.base())
     }
-
-    /// The sum of the fine octaves at a point (units), metres. Only heights use it otherwise.
-    #[cfg(test)]
-    pub fn fractal_sum(&self, x: i32, z: i32, octaves: Octaves) -> f64 {
-        self.world.fine_sum(Exact { x, z }, octaves)
-    }
 }
 
 impl Exact {
@@ -193,7 +187,7 @@ mod tests {
         let (fbm, reference) = (Fbm::new(3), ReferenceF64::new(3));
         for octaves in (0..=OCTAVES).map(|count| Octaves::new(count).unwrap()) {
             let worst = worst(sample::world_points(2_000, octaves.count() as u32), |x, z| {
-                fine_m(fbm.at(x, z, octaves)) - reference.fractal_sum(x, z, octaves)
+                fine_m(fbm.at(x, z, octaves)) - reference.world.fine_sum(Exact { x, z }, octaves)
             });
             assert!(worst < 0.001, "{octaves:?}: {worst} m");
         }

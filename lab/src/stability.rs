@@ -72,8 +72,7 @@ pub fn measure(worlds: u32, chunks: u32) -> Report {
     let seeds: Vec<u64> = (0..u64::from(worlds)).chain([1 << 63, u64::MAX]).collect();
     let mut checks = continuity::sweep(&seeds, integers);
     let seams = (0..u64::from(worlds.min(2))).map(|seed| seams::check(&Land::new(seed)));
-    let seams = seams.reduce(|all, one| all.into_iter().zip(one).map(|(a, b)| a.merged(b)).collect());
-    checks.extend(seams.unwrap_or_default());
+    checks.extend(seams.reduce(check::merged).unwrap_or_default());
     let (of_errors, errors) = errors::check(chunks);
     checks.extend(of_errors);
     checks.push(errors::tightness(&errors));
@@ -91,14 +90,11 @@ fn controls() -> Vec<Check> {
         let land = FloatLand::new(seed);
         Box::new(move |x, z, _| f64::from(land.height_m(metres_f32(x), metres_f32(z))) * METRE)
     });
-    let of_coarse = continuity::sweep(&[0], |seed| {
-        let reference = ReferenceF64::new(seed).with_coarse_weights(10);
-        Box::new(move |x, z, octaves| reference.height_m(x, z, octaves) * METRE)
-    });
-    let of_direct = continuity::sweep(&[0], |seed| {
-        let reference = ReferenceF64::new(seed).without_spline();
-        Box::new(move |x, z, octaves| reference.height_m(x, z, octaves) * METRE)
-    });
+    let of = |reference: ReferenceF64| {
+        continuity::sweep(&[0], |_| Box::new(move |x, z, octaves| reference.height_m(x, z, octaves) * METRE))
+    };
+    let of_coarse = of(ReferenceF64::new(0).with_coarse_weights(10));
+    let of_direct = of(ReferenceF64::new(0).without_spline());
     let of_torn = continuity::sweep(&[0], |seed| {
         let whole = integers(seed);
         // One lattice line of the last octave, torn by 4 cm.

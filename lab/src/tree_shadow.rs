@@ -1,5 +1,7 @@
 //! Shadows of trees on the GPU against rays through the same trees on the CPU.
 
+use crate::probe_pass;
+use crate::world_builder::WorldBuilder;
 use client::cache::ChunkCache;
 use client::camera::{Eye, Projection};
 use client::features::terrain::pool::ChunkPool;
@@ -7,6 +9,8 @@ use client::features::vegetation::renderer::VegetationRenderer;
 use client::features::vegetation::tree_cells::TreeCells;
 use client::features::vegetation::{PlantShadows, VegetationSettings};
 use client::gpu::bind::bind_numbered;
+use client::gpu::buffer::create_buffer;
+use client::gpu::pipeline::compute_pass;
 use client::gpu::{Gpu, GpuError};
 use client::lod::select;
 use client::scene::Scene;
@@ -16,10 +20,9 @@ use shaders::SHADERS;
 use shaders::layout::SUN_RADIUS;
 use shaders::twin::clump::{add, scaled};
 use shaders::twin::crown::{Caster, crown_chord, crown_of, trunk_radius_m};
+use terrain::Land;
 use terrain::hash::mix;
-use terrain::{Land, lod};
 use wgpu::BufferUsages as Usage;
-use wgpu::util::DeviceExt as _;
 
 const SLOTS: u32 = 1500;
 
@@ -123,12 +126,7 @@ impl Wood {
             time_s: 0.0,
             settings: RenderSettings { plants, sun, ..RenderSettings::default() },
         };
-        let land = Land::new(1);
-        let mut world = ChunkCache::new(SLOTS);
-        world.set_land(Land::new(1));
-        for needed in lod::select(&land, &view.viewer(), usize::MAX) {
-            world.insert(land.chunk(needed.key));
-        }
+        let mut world = WorldBuilder::new(Land::new(1)).world(&view.viewer(), SLOTS, |_| true);
         let eye = view.pose.eye();
         let view = ViewParams { pose: view.pose.above(world.ground(eye.units[0], eye.units[2])), ..view };
         let selection = select(&mut world, &view.viewer());
@@ -136,11 +134,7 @@ impl Wood {
 
         let pool = ChunkPool::new(&gpu.device, SLOTS);
         world.residents().for_each(|chunk| pool.upload(&gpu.queue, chunk));
-        let uniforms = gpu.device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
-            label: Some("frame"),
-            contents: bytemuck::bytes_of(&frame.uniforms),
-            usage: Usage::UNIFORM | Usage::COPY_DST,
-        });
+        let uniforms = probe_pass::filled(&gpu, bytemuck::bytes_of(&frame.uniforms), Usage::UNIFORM);
         let trees = TreeCells::new(&gpu.device);
         let mut vegetation = VegetationRenderer::new(&gpu.device);
         let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
@@ -194,47 +188,22 @@ impl Wood {
     /// The GPU failed.
     pub fn found(&self) -> Result<Vec<Shade>, GpuError> {
         let device = &self.gpu.device;
-        let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
-            label: Some("probe"),
-            source: wgpu::ShaderSource::Wgsl(SHADERS.probe_tree_shade.wgsl.into()),
-        });
-        let pipeline = device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
-            label: Some("probe"),
-            layout: None,
-            module: &module,
-            entry_point: None,
-            compilation_options: wgpu::PipelineCompilationOptions::default(),
-            cache: None,
-        });
+        let pipeline = probe_pass::pipeline(&self.gpu, &SHADERS.probe_tree_shade, None);
         let words = self.places.iter().zip(&self.normals);
         let places: Vec<[f32; 4]> =
             words.flat_map(|(at, normal)| [*at, *normal].map(|[x, y, z]| [x, y, z, 0.0])).collect();
-        let input = device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
-            label: Some("places"),
-            contents: bytemuck::cast_slice(&places),
-            usage: Usage::STORAGE,
-        });
-        let output = device.create_buffer(&wgpu::BufferDescriptor {
-            label: Some("shades"),
-            size: 16 * self.places.len() as u64,
-            usage: Usage::STORAGE | Usage::COPY_SRC,
-            mapped_at_creation: false,
-        });
-        let buffers = [
-            (0, &self.uniforms),
-            (8, self.trees.cells()),
-            (9, self.trees.marks()),
-            (11, &input),
-            (12, &output),
-        ];
+        let input = probe_pass::filled(&self.gpu, bytemuck::cast_slice(&places), Usage::STORAGE);
+        let bytes = 16 * self.places.len() as u64;
+        let output = create_buffer(device, "shades", bytes, Usage::STORAGE | Usage::COPY_SRC);
+        let (cells, marks) = (self.trees.cells(), self.trees.marks());
+        let buffers = [(0, &self.uniforms), (8, cells), (9, marks), (11, &input), (12, &output)];
         let bindings = bind_numbered(device, "probe", &pipeline.get_bind_group_layout(0), &buffers);
         let mut encoder = device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        {
-            let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
-            pass.set_pipeline(&pipeline);
-            pass.set_bind_group(0, &bindings, &[]);
-            pass.dispatch_workgroups(PLACES.div_ceil(64), 1, 1);
-        }
+        let mut pass = compute_pass(&mut encoder, "shades");
+        pass.set_pipeline(&pipeline);
+        pass.set_bind_group(0, &bindings, &[]);
+        pass.dispatch_workgroups(PLACES.div_ceil(64), 1, 1);
+        drop(pass);
         self.gpu.queue.submit([encoder.finish()]);
         let bytes = self.gpu.read_buffer(&output, 0..output.size())?;
         let words: Vec<[f32; 4]> = bytemuck::pod_collect_to_vec(&bytes);

@@ -66,4 +66,16 @@ mod tests {
         };
         assert_ne!(delays(2), delays(40));
     }
+
+    /// States of xorshift64 with the shifts 13, 7 and 17. The upper 24 bits of a state are the
+    /// share of the second half of a delay.
+    #[test]
+    fn the_share_of_a_delay_is_the_next_number_of_the_generator() {
+        let two = Duration::from_secs(2);
+        let mut backoff = Backoff::new(two, two, 0x9e37_79b9_7f4a_7c15);
+        for state in [0xdc1b_77ae_0bf3_4dad_u64, 0x64f0_eeb9_026e_6076, 0x7b07_ce91_e590_6136] {
+            let share = (backoff.next_delay().as_secs_f64() - 1.0) * f64::from(1 << 24);
+            assert_eq!(share.round() as u64, state >> 40);
+        }
+    }
 }

@@ -123,4 +123,10 @@ mod tests {
             assert!(!fatal.is_retryable());
         }
     }
+
+    #[test]
+    fn a_code_is_shown_in_words_with_its_number() {
+        assert_eq!(CloseCode::WrongWorld.to_string(), "worlds differ (4410)");
+        assert_eq!(CloseCode::GoingAway.to_string(), "server is shutting down (1001)");
+    }
 }

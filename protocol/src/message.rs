@@ -322,3 +322,46 @@ impl Limited for ServerMessage {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_text_of_any_message_has_at_most_the_longest_length() {
+        let checked = |length: usize| {
+            let text = || "t".repeat(length);
+            let hello = |token, software| Hello { digest: None, delivery: Delivery::Exact, token, software };
+            let welcome = Welcome {
+                session: 1,
+                world_seed: 1,
+                generator_version: 1,
+                digest: [0; 32],
+                max_credits: 1,
+                max_view_distance_m: 1,
+                software: text(),
+            };
+            let refused = Refused { id: 1, key: None, reason: RefusalReason::Failed, detail: text().into() };
+            [
+                ClientMessage::Hello(hello(None, text())).check_limits(),
+                ClientMessage::Hello(hello(Some(text()), String::new())).check_limits(),
+                ServerMessage::Welcome(welcome).check_limits(),
+                ServerMessage::Refused(refused).check_limits(),
+            ]
+        };
+        assert!(checked(MAX_TEXT).iter().all(Result::is_ok));
+        for length in [MAX_TEXT + 1, 2 * MAX_TEXT] {
+            for result in checked(length) {
+                assert_eq!(result, Err(ControlError::TextTooLong(length)));
+            }
+        }
+    }
+
+    #[test]
+    fn refusal_reasons_are_numbered_in_their_order_and_named_by_the_words_of_their_variants() {
+        for (index, reason) in RefusalReason::ALL.into_iter().enumerate() {
+            assert_eq!(reason.index(), index);
+            assert_eq!(reason.name().replace(' ', ""), format!("{reason:?}").to_lowercase());
+        }
+    }
+}

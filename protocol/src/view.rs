@@ -138,6 +138,7 @@ fn mdeg(angle: i32) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use terrain::hash::mix;
 
     fn view() -> View {
         View {
@@ -175,6 +176,11 @@ mod tests {
             spoil(&mut spoiled);
             assert!(spoiled.check().unwrap_err().contains(word), "{word}");
         }
+        let least = View { fov_mdeg: 1_000, viewport: [1; 2], tolerance_q4: 1, distance_m: 0, ..view() };
+        let most = View { fov_mdeg: 170_000, viewport: [MAX_VIEWPORT; 2], ..view() };
+        for allowed in [least, View { distance_m: MAX_VIEW_DISTANCE_M, ..most }] {
+            assert_eq!(allowed.check(), Ok(()));
+        }
     }
 
     #[test]
@@ -187,6 +193,8 @@ mod tests {
         assert!(ahead > behind);
         assert!(priority(20, 0, 0) < ahead, "east is outside a northward view");
         assert!(priority(0, 20, 40) > behind);
+        assert_eq!((ahead, priority(0, 20, 48)), (4 * behind, 4 * behind), "a quarter; up to four times");
+        assert_eq!(priority(0, 20, 1000), priority(0, 20, 48));
     }
 
     #[test]
@@ -196,6 +204,9 @@ mod tests {
         assert_eq!(ahead([1000, i32::MAX, 0], [0; 3]), None, "walking, or falling");
         let speed = 100 * UNITS_PER_METRE;
         assert_eq!(ahead([speed, 5, 0], [7, 8, 9]), Some((7 + 2 * speed, 8, 9)));
+        // 128 m in two seconds, the side of a finest chunk.
+        assert_eq!(ahead([64 * UNITS_PER_METRE, 0, 0], [0; 3]), Some((128 * UNITS_PER_METRE, 0, 0)));
+        assert_eq!(ahead([64 * UNITS_PER_METRE - 1, 0, 0], [0; 3]), None);
         let half = 4000 * UNITS_PER_METRE;
         assert_eq!(ahead([0, 0, i32::MIN], [0; 3]), Some((0, 0, -half)));
         for extreme in [i32::MIN, i32::MAX] {
@@ -203,6 +214,46 @@ mod tests {
                 let (x, _, z) = ahead([extreme; 3], [edge, 0, -edge]).unwrap();
                 assert!(Position::new(x, z).is_ok(), "{x} {z}");
             }
+        }
+        let inside = (WORLD_HALF - 1, 0, 1 - WORLD_HALF);
+        assert_eq!(ahead([i32::MAX, 0, i32::MIN], [WORLD_HALF, 0, -WORLD_HALF]), Some(inside));
+    }
+
+    /// By the angle between the directions of the view and to the middle of a chunk, half of the
+    /// field of view, and the angle of the chunk's bounding circle.
+    #[test]
+    fn a_view_faces_a_chunk_whose_circle_reaches_into_its_field_of_view() {
+        let mut faced = 0;
+        for n in 0..2000 {
+            let at = |stream: u32, range: u32| (mix(8 * n + stream) % (2 * range)) as i32 - range as i32;
+            let key = ChunkKey::new((n % 3) as u8, at(0, 6), at(1, 6)).unwrap();
+            let view = View {
+                eye: [at(2, 100_000), 25_600, at(3, 100_000)],
+                yaw_mdeg: at(4, 720_000),
+                fov_mdeg: 20_000 + mix(8 * n + 5) % 100_000,
+                viewport: [640, 360 + (mix(8 * n + 6) % 1000) as u16],
+                ..view()
+            };
+            let side = f64::from(key.side());
+            let middle = |coordinate: i32| (f64::from(coordinate) + 0.5) * side;
+            let (east, south) =
+                (middle(key.x()) - f64::from(view.eye[0]), middle(key.z()) - f64::from(view.eye[2]));
+            let (distance, radius) = (east.hypot(south), side / 2f64.sqrt());
+            let radians = |mdeg: f64| mdeg / 180_000.0 * std::f64::consts::PI;
+            let yaw = radians(f64::from(view.yaw_mdeg));
+            let angle = ((east * yaw.sin() - south * yaw.cos()) / distance).acos();
+            let half = radians(f64::from(view.fov_mdeg)) / 2.0;
+            let [width, height] = view.viewport.map(f64::from);
+            let reach = (width * half.sin()).atan2(height * half.cos()) + (radius / distance).min(1.0).asin();
+            let expected = distance <= radius || angle <= reach;
+            assert_eq!(view.faces(key), expected, "{view:?} {key}");
+            faced += u32::from(expected);
+        }
+        assert!((400..600).contains(&faced), "{faced}");
+        // Steeply upwards or downwards a view covers all directions.
+        let behind = ChunkKey::new(0, 0, 50).unwrap();
+        for (pitch_mdeg, expected) in [(45_000, false), (45_001, true), (-45_000, false), (-45_001, true)] {
+            assert_eq!(View { pitch_mdeg, ..view() }.faces(behind), expected, "{pitch_mdeg}");
         }
     }
 

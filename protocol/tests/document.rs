@@ -40,6 +40,8 @@ fn sizes_of_frames_are_those_of_the_code() {
     states(&format!("bytes of the payload, at most {}", grouped(limits::MAX_PAYLOAD)));
     states(&format!("a message of {} bytes or more", grouped(limits::MAX_CONTROL_FRAME + 1)));
     states(&format!("longer than {} bytes", grouped(limits::MAX_CONTROL_FRAME)));
+    states(&format!("| {} | the grass record: seed u32, palette u8", limits::GRASS_RECORD));
+    assert_eq!(limits::MAX_SERVER_FRAME, limits::MAX_CHUNK_FRAME.max(limits::MAX_CONTROL_FRAME));
 }
 
 #[test]

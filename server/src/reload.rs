@@ -148,3 +148,49 @@ impl Hangup {
         std::future::pending::<()>().await;
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::sync::atomic::{AtomicU32, Ordering};
+    use std::sync::{Mutex, mpsc};
+    use tokio::task::yield_now;
+    use tokio::time::advance;
+
+    #[tokio::test(start_paused = true)]
+    async fn a_late_read_is_a_failure_starts_no_second_one_and_its_content_is_not_used() {
+        let (end, ended) = mpsc::channel::<()>();
+        let ended = Mutex::new(ended);
+        let reads = Arc::new(AtomicU32::new(0));
+        let used = Arc::new(Mutex::new(Vec::new()));
+        let failed = Gauge::default();
+        let mut file = {
+            let (reads, used) = (Arc::clone(&reads), Arc::clone(&used));
+            let read = move || {
+                let read = reads.fetch_add(1, Ordering::Relaxed);
+                if read == 0 {
+                    ended.lock().unwrap().recv().unwrap();
+                }
+                Ok(read)
+            };
+            File::new("tokens", &failed, read, move |read| {
+                used.lock().unwrap().push(read);
+                Reloaded::Changed
+            })
+        };
+        for _ in 0..2 {
+            tokio::join!(file.reload(true), advance(READ_TIMEOUT + Duration::from_millis(1)));
+            // No time passes for the thread that reads.
+            while reads.load(Ordering::Relaxed) == 0 {
+                yield_now().await;
+            }
+            assert_eq!((failed.get(), reads.load(Ordering::Relaxed)), (1, 1));
+        }
+        end.send(()).unwrap();
+        while !file.reading.as_ref().unwrap().is_finished() {
+            yield_now().await;
+        }
+        file.reload(true).await;
+        assert_eq!((failed.get(), &*used.lock().unwrap()), (0, &vec![1]));
+    }
+}

@@ -195,3 +195,20 @@ fn roughness(shore: i32, exposure: i32, rim: i32, height: i32, inland: i32, calm
 
 /// The largest share of the fine octaves that rounds to less than one, Q29.
 pub(crate) const ROUGHEST: i32 = (1 << 29) - (1 << 14);
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_share_of_the_fine_octaves_has_its_parts_and_stays_below_one() {
+        let (one, rim, inland) = (ALMOST_ONE_Q30, ((1 << 27) - 1) << 3, (3 << 28) - 1);
+        let share = |shore, exposure, height, inland| roughness(shore, exposure, rim, height, inland, one);
+        // 1/64 everywhere; at the water line 9/16 more where sheltered, 3/4 where exposed.
+        assert_eq!(share(1 << 24, 0, 0, inland), 512);
+        assert_eq!(share(0, 0, 0, 0), 512 + 9 * 2048);
+        assert_eq!(share(0, 1 << 29, 0, 0), 512 + 3 * 8192);
+        // On the foot of the highest mountain the parts add up to more than one.
+        assert_eq!(share(1 << 24, 0, one, inland), (1 << 15) - 1);
+    }
+}

@@ -239,11 +239,10 @@ mod tests {
         }
     }
 
-    /// A ramp of 16 km with steps of up to 2^15 units: one less than that is for vectors, that is
-    /// not.
+    /// Ramps of 16 km and more: steps of less than 2^15 units are for vectors, others are not.
     #[test]
     fn the_longest_leg_decides_between_vectors_and_wide_arithmetic() {
-        for leg in [(1 << 15) - 1, 1 << 15] {
+        for leg in [(1 << 15) - 1, 1 << 15, 1 << 16] {
             let heights = Box::new(std::array::from_fn(|index| {
                 let (x, z) = (index % VERTICES, index / VERTICES);
                 (x + z) as i32 * leg - (1 << 21)
@@ -253,9 +252,19 @@ mod tests {
                 let by_vectors = i64::from(simd::steepest(kernel, &heights)) as u64;
                 assert_eq!(by_vectors == steepest(&heights), leg < 1 << 15, "{kernel}");
             }
-            let slope = slope_bound(&heights, 1 << 22, 1);
             let exact = (f64::from(leg) * 2f64.sqrt()).ceil() as u64 * UNITS_PER_METRE as u64;
-            assert_eq!(u64::from(slope), exact);
+            for relief in [1 << 15, 1 << 22] {
+                assert_eq!(u64::from(slope_bound(&heights, relief, 1)), exact);
+            }
+        }
+    }
+
+    #[test]
+    fn above_the_sampled_levels_an_error_reaches_to_the_far_end_of_all_heights() {
+        let land = Land::new(1);
+        for (height_m, error_m) in [(1_472, 1_558), (-86, 1_558), (0, 1_472)] {
+            let heights = [height_m * UNITS_PER_METRE; VERTEX_COUNT];
+            assert_eq!(land.chunk_error(key(8, 0, 0), &heights), error_m * UNITS_PER_METRE as u32);
         }
     }
 

@@ -110,6 +110,7 @@ mod tests {
     #[test]
     fn digests_survive_text_and_reject_other_text() {
         let digest = Land::new(8).digest();
+        assert_eq!(format!("{digest:?}"), format!("WorldDigest({digest})"));
         assert_eq!(WorldDigest::from_hex(&digest.to_string()), Some(digest));
         assert_eq!(WorldDigest::from_hex(&digest.to_string().to_uppercase()), Some(digest));
         for bad in ["", "00", &"g".repeat(64), &"0".repeat(65)] {

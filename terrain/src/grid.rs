@@ -181,4 +181,28 @@ mod tests {
             assert_eq!(Grid::of_chunk(key).position(64, 64), (WORLD_HALF, WORLD_HALF));
         }
     }
+
+    #[test]
+    fn a_refused_grid_is_named_with_what_is_allowed() {
+        let refused = |level, columns| Grid::new(5, -7, level, columns, 2).unwrap_err().to_string();
+        for (text, parts) in [
+            (refused(0, 1 << 30), ["(5, -7)", "±1073741824"]),
+            (refused(17, 1), ["level 17", "0 to 16"]),
+            (refused(0, usize::MAX), ["x 2 vertices", "memory"]),
+        ] {
+            assert!(parts.iter().all(|part| text.contains(*part)), "{text}");
+        }
+    }
+
+    #[test]
+    fn bands_cover_the_rows_of_a_grid() {
+        let grid = Grid::new(-512, 1024, 1, 3, 10).unwrap();
+        assert_eq!((grid.columns(), grid.rows(), grid.vertex_count()), (3, 10, 30));
+        for (row, rows) in [(0, 4), (4, 4), (8, 2)] {
+            let band = grid.band(row, 4);
+            assert_eq!((band.columns(), band.rows(), band.octaves()), (3, rows, grid.octaves()));
+            assert_eq!(band.position(2, 0), grid.position(2, row));
+        }
+        assert_eq!(grid.position(2, 8), (1536, 9216));
+    }
 }

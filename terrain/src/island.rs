@@ -423,4 +423,74 @@ mod tests {
         let whole = land.archipelago().is_open_sea(-WORLD_HALF, -WORLD_HALF, 1 << 31);
         assert!(!whole, "the whole world is not open sea");
     }
+
+    #[test]
+    fn lobes_have_the_heights_and_masses_of_the_table() {
+        let lobe = |kind: Kind, index, home, tall| kind.lobe(index, home, (0, 0), 3000, tall, &mut Draws(1));
+        for (kind, tall, height) in [
+            (Kind::Single, 90, 90),
+            (Kind::Group, 255, 255),
+            (Kind::Skerries, 255, 10),
+            (Kind::Atoll, 255, 5),
+            (Kind::Plateau, 153, 108),
+            (Kind::Plateau, 154, 107),
+            (Kind::Plateau, 255, 178),
+            (Kind::Volcano, 178, 179),
+            (Kind::Volcano, 180, 180),
+        ] {
+            assert_eq!(lobe(kind, 0, false, tall).height, height, "{kind:?} of {tall}");
+        }
+        for (kind, index, home, mass) in [
+            (Kind::Single, 0, true, (16, -8)),
+            (Kind::Single, 0, false, (8, 0)),
+            (Kind::Single, 1, true, (8, 0)),
+            (Kind::Group, 0, false, (8, 0)),
+            (Kind::Skerries, 1, false, (3, 0)),
+            (Kind::Atoll, 0, false, (40, -48)),
+            (Kind::Plateau, 1, false, (16, -8)),
+            (Kind::Volcano, 0, false, (16, -8)),
+            (Kind::Volcano, 1, false, (8, 0)),
+        ] {
+            assert_eq!(lobe(kind, index, home, 200).mass, mass, "{kind:?} {index}, home: {home}");
+        }
+    }
+
+    #[test]
+    fn a_lobe_touches_squares_within_its_reach_and_the_warp() {
+        let centre = (5_000, -9_000);
+        let none = (0, 0);
+        let lobe = Lobe {
+            centre,
+            reach_m: 300,
+            long: none,
+            short: none,
+            mass: none,
+            height: 0,
+            plateau: 0,
+            crater: false,
+        };
+        let (reach, side) = ((300 + WARP_M) * UNITS_PER_METRE, 100);
+        for (offset, touches) in
+            [(reach, true), (reach + 1, false), (-reach - side, true), (-reach - side - 1, false)]
+        {
+            assert_eq!(lobe.touches(centre.0 + offset, centre.1, side as u32), touches, "east {offset}");
+            assert_eq!(lobe.touches(centre.0, centre.1 + offset, side as u32), touches, "south {offset}");
+        }
+    }
+
+    #[test]
+    fn a_cell_holds_an_island_by_the_rule_of_its_hash() {
+        use Kind::{Atoll, Group, Plateau, Single, Skerries, Volcano};
+        let kinds = [
+            [Single, Single, Single, Single, Group, Group, Group, Skerries],
+            [Skerries, Plateau, Plateau, Plateau, Volcano, Volcano, Atoll, Atoll],
+        ];
+        for (seed, x, z) in (0..20).flat_map(|seed| (0..49).map(move |n| (seed, n % 7 - 3, n / 7 - 3))) {
+            let hash = hash2(stream_seed(seed, 0x1517), x, z);
+            let (is_home, is_beside_home) = (x == 0 && z == 0, x.abs() < 2 && z.abs() < 2);
+            let holds = is_home || hash % 16 < 7 && (!is_beside_home || hash % 2 == 1);
+            let kind = if is_home { Single } else { kinds.as_flattened()[(hash >> 4) as usize % 16] };
+            assert_eq!(Archipelago::new(seed).kind(x, z), holds.then_some((kind, hash)), "({x}, {z})");
+        }
+    }
 }

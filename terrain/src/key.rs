@@ -202,8 +202,16 @@ mod tests {
         ] {
             assert_eq!(ChunkKey::new(level, x, z), Err(InvalidKey { level, x, z }));
         }
-        let message = ChunkKey::new(0, 32_768, 0).unwrap_err().to_string();
-        assert!(message.contains("-32768 to 32767"), "{message}");
+        let ranges = [(0, 32_768, "from -32768 to 32767"), (16, 1, "from 0 to 0"), (17, 0, "0 to 16")];
+        for (level, x, range) in ranges {
+            let message = ChunkKey::new(level, x, 0).unwrap_err().to_string();
+            assert!(message.contains(&format!("{level}/{x}/0")) && message.ends_with(range), "{message}");
+        }
+    }
+
+    #[test]
+    fn a_key_is_shown_as_level_x_and_z() {
+        assert_eq!(ChunkKey::new(3, -1, 2).unwrap().to_string(), "3/-1/2");
     }
 
     proptest! {

@@ -273,7 +273,8 @@ fn root(square: u64) -> u64 {
 mod tests {
     use super::*;
     use crate::constants::WORLD_HALF;
-    use std::collections::HashSet;
+    use std::cmp::Reverse;
+    use std::collections::{BTreeMap, HashSet};
 
     #[test]
     fn the_root_is_that_of_integers() {
@@ -364,6 +365,67 @@ mod tests {
                 (over.level() > leaf.level() + 1).then_some((leaf, over))
             },
         )
+    }
+
+    #[test]
+    fn the_distance_to_a_block_is_that_to_its_nearest_point() {
+        for (eye, low, expected) in [
+            ((0, 0, 0), (300, 400), 500),
+            ((0, 0, 0), (-310, -410), 500),
+            ((0, 1207, 0), (300, 400), 1300),
+            ((0, -1205, 0), (-310, -410), 1300),
+            ((305, 2, 405), (300, 400), 0),
+            ((305, 19, 405), (300, 400), 12),
+            ((305, -17, 405), (300, 400), 12),
+        ] {
+            let viewer = Viewer { eye, ..viewer() };
+            assert_eq!(viewer.distance_to_block(low, 10, -5, 7), expected, "from {eye:?}");
+        }
+    }
+
+    #[test]
+    fn a_split_requires_its_parent_and_those_of_its_visible_neighbours_below_the_top() {
+        let viewer = Viewer { distance_m: 300, ..viewer() };
+        assert_eq!(viewer.top_level(), 1);
+        let required = |level, x, z| {
+            let keys = required(ChunkKey::new(level, x, z).unwrap(), &viewer);
+            keys.map(|key| (key.level(), key.x(), key.z())).collect::<Vec<_>>()
+        };
+        assert_eq!(required(0, 1, 0), [(1, 0, 0), (1, 1, 0), (1, 0, -1), (1, 1, -1)]);
+        assert_eq!(required(0, 3, 0), [(1, 1, 0)], "neighbours beyond the view distance");
+        assert!(required(1, 0, 0).is_empty());
+    }
+
+    /// The closure by the rule alone, with all eight neighbours: those in the parent add nothing.
+    #[test]
+    fn balance_adds_the_smallest_closed_set_with_the_largest_urgencies() {
+        let viewer = Viewer { distance_m: MAX_VIEW_DISTANCE_M, ..viewer() };
+        let (mut splits, mut closed) = (Splits::default(), BTreeMap::new());
+        for (level, x, z, urgency) in [(0, 3, -2, 50), (0, -9, 4, 70), (2, 2, 2, 90), (0, 3, -2, 60)] {
+            let key = ChunkKey::new(level, x, z).unwrap();
+            splits.insert(key, urgency);
+            closed.insert(key, urgency);
+        }
+        balance(&mut splits, &viewer);
+        loop {
+            let before = closed.clone();
+            for (key, urgency) in &before {
+                let around = (-1..=1).flat_map(|east| (-1..=1).map(move |south| (east, south)));
+                for above in around.filter_map(|(east, south)| key.neighbour(east, south)?.parent()) {
+                    if above.level() <= viewer.top_level() {
+                        let most = closed.entry(above).or_insert(*urgency);
+                        *most = (*most).max(*urgency);
+                    }
+                }
+            }
+            if closed == before {
+                break;
+            }
+        }
+        let mut expected: Vec<_> = closed.into_iter().collect();
+        expected.sort_by_key(|(key, _)| (Reverse(key.level()), *key));
+        assert!(expected.len() > 20, "{} splits", expected.len());
+        assert_eq!(splits.coarse_first().collect::<Vec<_>>(), expected);
     }
 
     #[test]

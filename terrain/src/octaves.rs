@@ -104,6 +104,7 @@ mod tests {
     #[test]
     fn more_octaves_than_the_land_has_are_refused_and_none_is_allowed() {
         assert_eq!(Octaves::new(10), Err(TooManyOctaves(10)));
+        assert_eq!(TooManyOctaves(10).to_string(), "10 octaves requested: the land has at most 9");
         assert_eq!(Octaves::new(9), Ok(Octaves::ALL));
         assert_eq!(Octaves::new(0).map(Octaves::count), Ok(0));
     }

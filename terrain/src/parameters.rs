@@ -26,3 +26,19 @@ impl Land {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::hash::stream_seed;
+
+    /// The streams of docs/heightfield.md: fine octaves from 0, noises of the base field from 16.
+    #[test]
+    fn the_seeds_of_a_world_are_those_of_its_streams() {
+        let parameters = Land::new(5).parameters();
+        assert_eq!(parameters.fine_seeds, [0, 1, 2, 3, 4].map(|stream| stream_seed(5, stream)));
+        let base = [16, 17, 18, 19, 20, 21, 22, 23, 24];
+        assert_eq!(parameters.lattice_seeds, base.map(|stream| stream_seed(5, stream)));
+        assert_eq!(parameters.archipelago_seed, 0x0dcd_47a5);
+    }
+}

@@ -62,5 +62,7 @@ mod tests {
             assert_eq!(Position::new(7, beyond), Err(OutsideWorld { x: 7, z: beyond }));
         }
         assert!(Position::new(i32::MIN, i32::MAX).is_err());
+        let text = OutsideWorld { x: 7, z: -(1 << 30) - 1 }.to_string();
+        assert!(text.contains("(7, -1073741825)") && text.contains("±1073741824"), "{text}");
     }
 }

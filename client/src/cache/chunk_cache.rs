@@ -8,6 +8,7 @@ use rustc_hash::{FxHashMap, FxHashSet};
 use shaders::layout::{BLOCK_TEXELS, GPU_SLOT_BYTES};
 use std::time::Duration;
 use terrain::constants::VERTEX_COUNT;
+use terrain::lod::Viewer;
 use terrain::pyramid::PYRAMID_LEVELS;
 use terrain::{Chunk, ChunkKey, GrassSeed, Land, Pyramid, WorldDigest};
 
@@ -37,6 +38,8 @@ pub struct Resident {
     /// Bound of the vertical error against level 0, units; without the rounding of quantised
     /// chunks.
     pub error: u32,
+    /// The same of the unscaled land, which a server selects by.
+    pub served_error: u32,
     /// Lowest vertex, units.
     pub min: i32,
     /// Highest vertex, units.
@@ -79,8 +82,8 @@ pub struct ChunkCache {
     frame: u64,
     /// Frame in which the current view was sent.
     view_sent: u64,
-    /// Whether a view was ever covered completely.
-    covered: bool,
+    /// View distance of the last view whose coarsest chunks were all resident, metres.
+    covered_m: Option<u32>,
     /// Time at which each split chunk was first drawn by its children.
     split_since: FxHashMap<ChunkKey, Duration>,
     /// The land of the seed that the server states.
@@ -103,7 +106,7 @@ impl ChunkCache {
             // Above the stamp of chunks that no selection has used.
             frame: 1,
             view_sent: 1,
-            covered: false,
+            covered_m: None,
             split_since: FxHashMap::default(),
             land: None,
             verified: None,
@@ -117,8 +120,8 @@ impl ChunkCache {
         u32::try_from(budget / SLOT_BYTES).unwrap_or(u32::MAX).max(1)
     }
 
-    /// Inserts a chunk and evicts others if the cache is full. The caller uploads the chunk and
-    /// releases the evicted keys.
+    /// Inserts a chunk, scaled vertically, and evicts others if the cache is full. The caller uploads
+    /// the chunk and releases the evicted keys.
     pub fn insert(&mut self, chunk: Chunk) -> Arrival {
         if self.chunks.contains_key(&chunk.key) {
             return Arrival { slot: None, evicted: Vec::new(), thrashing: false };
@@ -129,6 +132,8 @@ impl ChunkCache {
         }
         // Cannot fail: the capacity is at least 1 and every slot is free or occupied.
         let Some(slot) = self.free.pop() else { return Arrival { slot: None, evicted, thrashing } };
+        let served_error = chunk.error;
+        let chunk = vertical_scale::scaled(chunk, self.vertical_scale);
         let (min, max) = (chunk.min(), chunk.max());
         let resident = Resident {
             slot,
@@ -137,6 +142,7 @@ impl ChunkCache {
             grass: chunk.grass,
             heights: chunk.heights,
             error: chunk.error,
+            served_error,
             min,
             max,
             block_errors: None,
@@ -161,7 +167,7 @@ impl ChunkCache {
         }
     }
 
-    /// Sets the vertical scale of all chunks, Q8.
+    /// Sets the vertical scale of the chunks that are inserted from now on, Q8.
     pub fn set_vertical_scale(&mut self, vertical_scale: i32) {
         self.vertical_scale = vertical_scale;
     }
@@ -174,6 +180,10 @@ impl ChunkCache {
 
     /// Sets the seed that the server states, and the digest of the world that it serves.
     pub fn set_world(&mut self, world_seed: u64, world: WorldDigest) {
+        // The digest of a land takes some 30 ms: not again for every session with the same server.
+        if self.verified == Some(world) && self.land.is_some_and(|land| land.world_seed() == world_seed) {
+            return;
+        }
         let land = Land::new(world_seed);
         (self.land, self.verified) = (Some(land), (land.digest() == world).then_some(world));
     }
@@ -190,7 +200,8 @@ impl ChunkCache {
         self.land.zip(self.verified)
     }
 
-    /// The land of the stated seed: for comparisons only, because a server may state a wrong seed.
+    /// The land of the stated seed, not verified: a server may state another seed than that of its
+    /// chunks. For poses of the camera; what is drawn takes [`ChunkCache::verified_land`].
     #[must_use]
     pub fn land(&self) -> Option<&Land> {
         self.land.as_ref()
@@ -271,13 +282,18 @@ impl ChunkCache {
         self.view_sent = self.frame + 1;
     }
 
-    /// Starts a new frame. Returns whether land may be drawn: not before a view was covered
-    /// completely once, because partial land would end in mid-air. Later gaps are at the far end of
-    /// the view only.
-    pub(crate) fn begin_frame(&mut self, has_all_tops: bool) -> bool {
+    /// Starts a new frame. Returns the view distance to draw land to, metres; none before a view was
+    /// covered completely once, because partial land would end in mid-air. Later gaps are at the far
+    /// end of the view only: a view with another coarsest level is drawn to the distance of the last
+    /// covered one until its own coarsest chunks are resident.
+    pub(crate) fn begin_frame(&mut self, viewer: &Viewer, has_all_tops: bool) -> Option<u32> {
         self.frame += 1;
-        self.covered |= has_all_tops;
-        self.covered
+        if has_all_tops {
+            self.covered_m = Some(viewer.distance_m);
+        }
+        let covered = Viewer { distance_m: self.covered_m?, ..*viewer };
+        let is_same = covered.top_level() == viewer.top_level();
+        Some(if is_same { viewer.distance_m } else { covered.distance_m })
     }
 
     /// Updates the set of split chunks.

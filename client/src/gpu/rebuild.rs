@@ -42,7 +42,8 @@ impl Rebuilds {
         }
     }
 
-    /// Begins to replace a device after an error. Returns the cause, for display.
+    /// Begins to replace a device after an error, which destroys it: the new one needs its memory.
+    /// Returns the cause, for display.
     ///
     /// # Errors
     /// The error itself if the device is not lost; [`GpuError::LostAgain`] after the last attempt.
@@ -51,6 +52,9 @@ impl Rebuilds {
         if self.attempts == self.most {
             return Err(GpuError::LostAgain { attempts: self.attempts, cause });
         }
+        gpu.device.destroy();
+        // Resources of a destroyed device are freed by a poll.
+        let _ = gpu.device.poll(wgpu::PollType::Poll);
         (self.attempts, self.frames, self.done) = (self.attempts + 1, 0, self.done + 1);
         Ok(cause)
     }

@@ -50,6 +50,22 @@ impl WindowSurface {
         Ok(window)
     }
 
+    /// Replaces the surface. The old one is dropped before the new one is configured: a window has at
+    /// most one swapchain.
+    ///
+    /// # Errors
+    /// The GPU cannot present to the new one.
+    pub fn replace(
+        &mut self,
+        gpu: &Gpu,
+        surface: wgpu::Surface<'static>,
+        size: (u32, u32),
+    ) -> Result<(), GpuError> {
+        *self = Self::new(gpu, surface, (0, 0))?;
+        self.resize(gpu, size);
+        Ok(())
+    }
+
     /// Resizes the surface; ignored at size 0 (minimised).
     pub fn resize(&mut self, gpu: &Gpu, size: (u32, u32)) {
         if size.0 == 0 || size.1 == 0 {

@@ -250,9 +250,11 @@ mod tests {
     ) -> (ChunkCache, Selection) {
         let viewer = view(pose).viewer();
         let mut cache = ChunkCache::new(4096);
-        for needed in lod::select(land, &viewer, usize::MAX) {
+        cache.set_vertical_scale((scale * 256.0) as i32);
+        let served = vertical_scale::served(&viewer, cache.vertical_scale());
+        for needed in lod::select(land, &served, usize::MAX) {
             let chunk = made.entry(needed.key).or_insert_with(|| land.chunk(needed.key));
-            cache.insert(vertical_scale::scaled(chunk.clone(), (scale * 256.0) as i32));
+            cache.insert(chunk.clone());
         }
         let selection = select(&mut cache, &viewer);
         (cache, selection)

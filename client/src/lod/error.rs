@@ -6,10 +6,10 @@
 //! drawn surface is within the block's error of the land, of quantised chunks of the rounded land.
 
 use crate::cache::block_errors::BLOCKS;
-use crate::cache::{ChunkCache, Resident};
+use crate::cache::{ChunkCache, Resident, vertical_scale};
 use protocol::Delivery;
 use terrain::ChunkKey;
-use terrain::lod::Viewer;
+use terrain::lod::{SUMMIT, Viewer};
 
 /// Error on screen up to which a chunk is not split, 1/16 pixel.
 #[must_use]
@@ -28,20 +28,21 @@ pub fn without_rounding(stated: u32, delivery: Delivery) -> u32 {
     }
 }
 
-/// Whether a chunk must be split for a viewer. Implies that the server splits it too: the server
-/// uses the chunk's error, or a larger bound, at the nearest distance. A chunk that overstates its
-/// error waits for children that no server sends, and is drawn itself.
+/// Whether a chunk must be split for a viewer. Implies that the server splits it too, for
+/// [`vertical_scale::served`]: the server uses the chunk's error, or a larger bound, at the nearest
+/// distance. A chunk that overstates its error waits for children that no server sends, and is drawn
+/// itself.
 #[must_use]
 pub fn is_too_coarse(cache: &ChunkCache, viewer: &Viewer, key: ChunkKey, chunk: &Resident) -> bool {
-    let bound = viewer.screen_error_q4(chunk.error, viewer.distance_to(key));
-    bound > viewer.tolerance() && on_screen(cache, viewer, key, chunk) > tolerance(viewer)
+    let served = vertical_scale::served(viewer, cache.vertical_scale());
+    let bound = served.screen_error_q4(chunk.served_error, served.distance_to(key));
+    bound > served.tolerance() && on_screen(cache, viewer, key, chunk) > tolerance(viewer)
 }
 
-/// Bound of the error on screen of a drawn chunk, 1/16 pixel, not rounded. Never above the bound
-/// that the server uses, so every chunk selected here is also sent.
+/// Bound of the error on screen of a drawn chunk, 1/16 pixel, not rounded.
 #[must_use]
 pub fn on_screen(cache: &ChunkCache, viewer: &Viewer, key: ChunkKey, chunk: &Resident) -> f64 {
-    let bounds = ChunkError::new(viewer, key, chunk);
+    let bounds = ChunkError::new(cache, viewer, key, chunk);
     if bounds.is_negligible() {
         return bounds.whole;
     }
@@ -64,7 +65,7 @@ pub fn parent_error_on_screen(
     toward: (i32, i32),
 ) -> Option<f64> {
     let key = child.parent()?;
-    let bounds = ChunkError::new(viewer, key, cache.get(key)?);
+    let bounds = ChunkError::new(cache, viewer, key, cache.get(key)?);
     let part = if bounds.is_negligible() { None } else { bounds.part(cache, child, toward) };
     Some(part.unwrap_or(bounds.whole).min(bounds.whole))
 }
@@ -81,9 +82,11 @@ struct ChunkError<'a> {
 }
 
 impl<'a> ChunkError<'a> {
-    fn new(viewer: &'a Viewer, key: ChunkKey, chunk: &Resident) -> Self {
+    fn new(cache: &ChunkCache, viewer: &'a Viewer, key: ChunkKey, chunk: &Resident) -> Self {
         let stated = chunk.error;
-        let bounds = Self { viewer, stated, nearest: viewer.distance_to(key), whole: 0.0 };
+        let summit = vertical_scale::scaled_height(SUMMIT, cache.vertical_scale());
+        let nearest = viewer.distance_to_box(key, i32::MIN, summit);
+        let bounds = Self { viewer, stated, nearest, whole: 0.0 };
         let whole = bounds.on_screen_at(stated, distance(viewer, key.origin(), key.side(), chunk, chunk.max));
         Self { whole, ..bounds }
     }

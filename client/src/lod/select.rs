@@ -4,9 +4,10 @@
 //! The rule is that of `terrain::lod`: split what is too coarse on screen, and what would be drawn
 //! beside something two levels finer. The server uses a bound of the chunk's error, before anything
 //! is generated; the viewer uses the error in the header, never above that bound. The rule is
-//! monotone, so the server sends every chunk that is selected here.
+//! monotone, so the server sends every chunk that is selected here. The server knows the unscaled
+//! land: what it may send is decided by [`vertical_scale::served`].
 
-use crate::cache::ChunkCache;
+use crate::cache::{ChunkCache, vertical_scale};
 use crate::lod::error;
 use crate::lod::geomorph;
 use crate::lod::geomorph::{Drawn, Fading};
@@ -19,14 +20,14 @@ use terrain::lod::{self, Splits, Viewer};
 pub struct Selection {
     /// Chunks to draw, none an ancestor of another.
     pub drawn: Vec<Drawn>,
-    /// Chunks drawn coarser than wanted because children are missing; before land is first drawn
-    /// also the missing coarsest chunks.
+    /// Chunks drawn coarser than wanted because children are missing, and the missing chunks of the
+    /// coarsest level.
     pub missing: usize,
 }
 
 impl Selection {
-    /// Whether every drawn chunk has the detail that the view asks for. True also for an eye above
-    /// the view distance and for a new session, which need no chunk yet.
+    /// Whether the view is covered with the detail that it asks for. True also for an eye above the
+    /// view distance, which needs no chunk.
     #[must_use]
     pub fn is_complete(&self) -> bool {
         self.missing == 0
@@ -40,52 +41,60 @@ pub fn select(cache: &mut ChunkCache, viewer: &Viewer) -> Selection {
 
 /// [`select`] with a fade-in of finer chunks.
 pub fn select_at(cache: &mut ChunkCache, viewer: &Viewer, fading: Fading) -> Selection {
-    let (tops, missing_tops): (Vec<_>, Vec<_>) =
-        viewer.tops().into_iter().partition(|key| cache.get(*key).is_some());
-    let is_shown = cache.begin_frame(missing_tops.is_empty());
-    let wanted = wanted_splits(cache, viewer, &tops);
-    let split = possible_splits(cache, viewer, &wanted);
+    let served = vertical_scale::served(viewer, cache.vertical_scale());
+    let missing_tops = served.tops().into_iter().filter(|key| cache.get(*key).is_none()).count();
+    let shown_m = cache.begin_frame(viewer, missing_tops == 0);
+    let distance_m = shown_m.unwrap_or(viewer.distance_m);
+    let (viewer, served) = (Viewer { distance_m, ..*viewer }, Viewer { distance_m, ..served });
+    let is_visible = |key: &ChunkKey| cache.get(*key).is_some() && served.sees(*key);
+
+    let tops: Vec<ChunkKey> = served.tops().into_iter().filter(is_visible).collect();
+    let wanted = wanted_splits(cache, &viewer, &served, &tops);
+    let split = possible_splits(cache, &served, &wanted);
+    let below = split.iter().filter_map(|key| key.children()).flatten();
+    let nodes: Vec<ChunkKey> = tops.into_iter().chain(below.filter(is_visible)).collect();
     cache.note_splits(&split, fading.now);
 
-    let is_resident = |key: &ChunkKey| cache.get(*key).is_some() && viewer.sees(*key);
-    let below = split.iter().filter_map(|key| key.children()).flatten();
-    let nodes: Vec<ChunkKey> = tops.iter().copied().chain(below).filter(is_resident).collect();
     let leaves: Vec<ChunkKey> = nodes.iter().copied().filter(|key| !split.contains(key)).collect();
     let nodes_set: FxHashSet<ChunkKey> = nodes.iter().copied().collect();
     let missing =
         wanted.coarse_first().filter(|(key, _)| nodes_set.contains(key) && !split.contains(key)).count();
-    let drawn = if is_shown { geomorph::stitch(cache, viewer, &leaves, &split, fading) } else { Vec::new() };
+    let drawn = if shown_m.is_some() {
+        geomorph::stitch(cache, &viewer, &leaves, &split, fading)
+    } else {
+        Vec::new()
+    };
     nodes.into_iter().for_each(|key| cache.touch(key));
-    Selection { drawn, missing: missing + if is_shown { 0 } else { missing_tops.len() } }
+    Selection { drawn, missing: missing + missing_tops }
 }
 
 /// Chunks to split, whether their children are resident or not.
-fn wanted_splits(cache: &ChunkCache, viewer: &Viewer, tops: &[ChunkKey]) -> Splits {
+fn wanted_splits(cache: &ChunkCache, viewer: &Viewer, served: &Viewer, tops: &[ChunkKey]) -> Splits {
     let mut wanted = Splits::default();
     let mut open = tops.to_vec();
     while let Some(key) = open.pop() {
         let Some(chunk) = cache.get(key) else { continue };
         if error::is_too_coarse(cache, viewer, key, chunk) {
             wanted.insert(key, 0);
-            open.extend(key.children().into_iter().flatten().filter(|child| viewer.sees(*child)));
+            open.extend(key.children().into_iter().flatten().filter(|child| served.sees(*child)));
         }
     }
-    lod::balance(&mut wanted, viewer);
+    lod::balance(&mut wanted, served);
     wanted
 }
 
 /// The wanted splits that are possible: all visible children are resident, and so are all chunks
 /// that the balance requires. Decided from the coarsest level down, because a split depends on
 /// coarser ones only.
-fn possible_splits(cache: &ChunkCache, viewer: &Viewer, wanted: &Splits) -> FxHashSet<ChunkKey> {
+fn possible_splits(cache: &ChunkCache, served: &Viewer, wanted: &Splits) -> FxHashSet<ChunkKey> {
     let mut split = FxHashSet::default();
     for (key, _) in wanted.coarse_first() {
         let has_children = key.children().is_some_and(|children| {
-            children.iter().all(|child| cache.get(*child).is_some() || !viewer.sees(*child))
+            children.iter().all(|child| cache.get(*child).is_some() || !served.sees(*child))
         });
         if cache.get(key).is_some()
             && has_children
-            && lod::required(key, viewer).all(|above| split.contains(&above))
+            && lod::required(key, served).all(|above| split.contains(&above))
         {
             split.insert(key);
         }
@@ -203,6 +212,44 @@ mod tests {
             !select(&mut cache, &moved).drawn.is_empty(),
             "new land at the far end is missing, the rest stays"
         );
+    }
+
+    #[test]
+    fn land_stays_while_a_view_with_another_coarsest_level_has_not_come() {
+        let farther = Viewer { distance_m: 9000, ..VIEWER };
+        assert!(farther.top_level() > VIEWER.top_level());
+        let mut cache = world_of(SENT.iter());
+        let before = select(&mut cache, &VIEWER);
+        let waiting = select(&mut cache, &farther);
+        assert_eq!((&waiting.drawn, waiting.missing), (&before.drawn, farther.tops().len()));
+        for key in farther.tops() {
+            cache.insert(Land::new(1).chunk(key));
+        }
+        let covered = keys(&select(&mut cache, &farther));
+        assert!(covered.iter().any(|key| key.level() == farther.top_level()), "{covered:?}");
+        // The control: a new session has nothing to draw.
+        assert!(select(&mut world_of(SENT.iter()), &farther).drawn.is_empty());
+    }
+
+    #[test]
+    fn a_view_of_stretched_land_is_complete_with_what_the_server_sends_for_it() {
+        let land = Land::new(1);
+        let missing = |viewer: &Viewer, sent_for: &Viewer, scale: i32| {
+            let mut cache = ChunkCache::new(10_000);
+            cache.set_vertical_scale(scale);
+            for needed in lod::select(&land, sent_for, usize::MAX) {
+                cache.insert(land.chunk(needed.key));
+            }
+            select(&mut cache, viewer).missing
+        };
+        let low = Viewer { eye: (30_000, 3_000, -50_000), tolerance_q4: 24, ..VIEWER };
+        for (viewer, scale) in
+            [VIEWER, low].into_iter().flat_map(|viewer| [64, 461, 1024].map(|s| (viewer, s)))
+        {
+            assert_eq!(missing(&viewer, &vertical_scale::served(&viewer, scale), scale), 0, "{scale}");
+        }
+        // The control: chunks for the same view of the land as it is.
+        assert!(missing(&low, &low, 1024) > 0);
     }
 
     #[test]

@@ -110,8 +110,8 @@ pub struct Args {
           value_parser = RangedU64ValueParser::<usize>::new().range(8..=256))]
     pub chunk_mb: usize,
 
-    /// Samples per pixel, 1 or 4 [default: 4; 1 with --quality low, and in a window on a software
-    /// driver]
+    /// Samples per pixel, 1 or 4 [default: 4; 1 with --quality low, and with auto in a window on a
+    /// software driver]
     #[arg(long, value_name = "N", allow_negative_numbers = true, value_parser = parse_samples)]
     pub samples: Option<u32>,
 
@@ -121,7 +121,7 @@ pub struct Args {
           value_parser = clap::value_parser!(u16).range(1..=16))]
     pub anisotropy: Option<u16>,
 
-    /// Orbits the point that the camera looks towards, degrees a second, -90 to 90
+    /// Orbits a point straight ahead, degrees a second, -90 to 90
     #[arg(long, value_name = "DEG", allow_hyphen_values = true,
           value_parser = |text: &str| parse_within(text, -90.0, 90.0))]
     pub orbit: Option<f64>,
@@ -159,8 +159,8 @@ pub struct Args {
           value_parser = clap::value_parser!(u32).range(256..=2048))]
     pub clipmap: u32,
 
-    /// Technique against visible repetition of materials [default: hex; two-scale with --quality
-    /// low]
+    /// Technique against visible repetition of materials [default: hex; two-scale on land with
+    /// --quality low]
     #[arg(long, value_enum)]
     pub tiling: Option<Tiling>,
 
@@ -172,7 +172,7 @@ pub struct Args {
     #[arg(long, value_enum, default_value_t)]
     pub visibility: Visibility,
 
-    /// Parallax method of waves [default: three; offset with --quality low]
+    /// Parallax method of waves [default: three; offset on land with --quality low]
     #[arg(long, value_enum)]
     pub water: Option<WaterTier>,
 
@@ -218,7 +218,8 @@ pub struct Args {
     #[arg(long, value_name = "FILE")]
     pub ca_file: Option<PathBuf>,
 
-    /// Time limit of a shot for its complete view, seconds, 1 to 3600 [default: 60]
+    /// Time limit of a shot for its complete view, seconds, 1 to 3600; it ends before if the first
+    /// three connections fail [default: 60]
     #[arg(long, value_name = "S", allow_negative_numbers = true,
           value_parser = clap::value_parser!(u64).range(1..=3600))]
     pub timeout: Option<u64>,
@@ -250,7 +251,8 @@ impl Args {
         self.world_seed.unwrap_or(DEFAULT_WORLD_SEED)
     }
 
-    /// A line for each given option that has no effect beside the others.
+    /// A line for each given option of land, server, window or shot that has no effect beside the
+    /// others.
     #[must_use]
     pub fn without_effect(&self) -> Vec<String> {
         let (is_local, has_server) = (self.scene.is_local(), self.server().is_some());

@@ -113,6 +113,6 @@ fn describe(progress: &Progress) -> String {
         Link::Connected(_) => {
             format!("{resident} chunks, {}, {missing} chunks still coarse", HumanBytes(*bytes_received))
         }
-        Link::Waiting { cause, .. } | Link::Refused(cause) => cause.clone(),
+        Link::Waiting { cause, .. } | Link::GivenUp(cause) => cause.clone(),
     }
 }

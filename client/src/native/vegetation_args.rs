@@ -79,7 +79,7 @@ pub struct VegetationArgs {
     pub plant_shadows: PlantShadows,
 
     /// Vertical scale of the land, 0.25 to 4 [default: 1.8 in the scene culling, else 1]
-    #[arg(long, value_name = "F", allow_negative_numbers = true,
+    #[arg(long, value_name = "F", allow_negative_numbers = true, help_heading = "Options",
           value_parser = |text: &str| parse_within(text, 0.25, 4.0))]
     pub vertical_scale: Option<f64>,
 }

@@ -30,7 +30,7 @@ pub enum Scene {
     /// The island with heights times 1.8, so that hills occlude vegetation. Generates its land
     /// unless --connect is given
     Culling,
-    /// A bay in three panels: parallax mapping, the selected --water tier, the ray-marched
+    /// A bay in three parts: parallax mapping, the selected --water method, the ray-marched
     /// reference. Needs no server
     Water,
     /// Cobbles on four planes: flat, single offset, by the settings, displaced geometry. Needs no

@@ -12,7 +12,7 @@ pub enum StreamEvent {
     Connected {
         /// Digest of the served world.
         world: WorldDigest,
-        /// Seed announced by the server; for display only.
+        /// Seed that the server announces, not verified.
         world_seed: u64,
         /// Name and version of the server, for display.
         server: String,
@@ -31,7 +31,7 @@ pub enum StreamEvent {
         /// One sentence.
         detail: String,
     },
-    /// A view was refused.
+    /// The latest view was refused.
     Refused {
         /// One sentence.
         detail: String,

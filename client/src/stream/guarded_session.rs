@@ -292,8 +292,12 @@ impl GuardedSession {
             None if matches!(refused.reason, RefusalReason::InvalidView | RefusalReason::Failed)
                 && self.expected.refuse(refused.id) =>
             {
+                // Of an older view nothing is to be said: the latest one may be served.
+                if !self.expected.is_latest(refused.id) {
+                    return Ok(Received::Nothing);
+                }
                 // Nothing of it is to come.
-                self.is_open &= !self.expected.is_latest(refused.id);
+                self.is_open = false;
                 Ok(Received::Event(StreamEvent::Refused { detail }))
             }
             // A refused batch of retries among them: they are requested again without an answer.
@@ -353,5 +357,29 @@ mod tests {
         let given_up =
             unknown.map(|key| session.bad(Some(key), &ChunkError::Parent(key), &mut trust, NOW).is_err());
         assert_eq!(given_up.filter(|given_up| *given_up).count(), 1);
+    }
+
+    #[test]
+    fn only_a_refusal_of_the_latest_view_is_reported() {
+        let (mut session, mut trust) = (session(), Trust::default());
+        let view = |id| View {
+            id,
+            eye: [0; 3],
+            velocity: [0; 3],
+            yaw_mdeg: 0,
+            pitch_mdeg: 0,
+            fov_mdeg: 60_000,
+            viewport: [640, 360],
+            tolerance_q4: 32,
+            distance_m: 2000,
+        };
+        [1, 2].into_iter().for_each(|id| session.set_view(view(id)));
+        let mut is_reported = |id| {
+            let refused = Refused { id, key: None, reason: RefusalReason::Failed, detail: "no room".into() };
+            let received = session.refused(&refused, &mut trust, NOW).unwrap();
+            matches!(received, Received::Event(StreamEvent::Refused { .. }))
+        };
+        assert_eq!([1, 2].map(&mut is_reported), [false, true]);
+        assert!(!session.is_open);
     }
 }

@@ -22,9 +22,9 @@ const MAX_TOLERANCE_SCALE: f64 = 1000.0;
 /// Time before the tolerance is raised again: chunks requested with the old one are still arriving.
 const TOLERANCE_INTERVAL: Duration = Duration::from_millis(400);
 
-/// Time before a rejected view is sent again while nothing changes: the server may have had no room
+/// Time before a refused view is sent again while nothing changes: the server may have had no room
 /// for it.
-const REJECTED_INTERVAL: Duration = Duration::from_secs(5);
+const REFUSED_INTERVAL: Duration = Duration::from_secs(5);
 
 /// Most missed chunks that are remembered. Without a further one the tolerance may be raised too
 /// early, which the next complete view undoes.
@@ -45,7 +45,7 @@ pub enum Link {
         retry_at: Duration,
     },
     /// Given up: another attempt cannot help.
-    Refused(String),
+    GivenUp(String),
 }
 
 /// Milestones, as times since the start.
@@ -65,7 +65,7 @@ pub struct WorldStreamer<F> {
     digest: Option<WorldDigest>,
     link: Link,
     failures: u32,
-    /// Why the last sent view was rejected.
+    /// Why the last sent view was refused.
     refusal: Option<String>,
     /// Chunks that were bad or refused and have not come since. At most [`MAX_MISSED`]; the server
     /// chooses the keys.
@@ -133,9 +133,10 @@ impl<F: ChunkStream> WorldStreamer<F> {
             self.handle(event, now, &mut upload);
         }
         let is_sent = self.send_view(view, now);
-        let viewer = self.scaled_view(view).viewer();
+        let viewer = self.tolerated(view).viewer();
+        let served = vertical_scale::served(&viewer, self.vertical_scale);
         // Chunks that have left the view are not requested again.
-        self.missed.retain(|key| key.level() <= viewer.top_level() && viewer.sees(*key));
+        self.missed.retain(|key| key.level() <= served.top_level() && served.sees(*key));
         let selection = select_at(&mut self.cache, &viewer, Fading { now, lasts: self.fade });
         if is_sent && self.is_settled() {
             if !selection.is_complete() {
@@ -179,7 +180,7 @@ impl<F: ChunkStream> WorldStreamer<F> {
                 self.milestones.first_chunk.get_or_insert(now);
                 let key = chunk.key;
                 self.missed.remove(&key);
-                let arrival = self.cache.insert(vertical_scale::scaled(*chunk, self.vertical_scale));
+                let arrival = self.cache.insert(*chunk);
                 if let (Some(_), Some(resident)) = (arrival.slot, self.cache.get(key)) {
                     upload(resident);
                 }
@@ -206,7 +207,7 @@ impl<F: ChunkStream> WorldStreamer<F> {
                 self.sent = None;
                 self.link = match retry {
                     Some(delay) => Link::Waiting { cause, retry_at: now + delay },
-                    None => Link::Refused(cause),
+                    None => Link::GivenUp(cause),
                 };
             }
         }
@@ -220,19 +221,22 @@ impl<F: ChunkStream> WorldStreamer<F> {
         }
     }
 
-    /// Sends the view if it changed, the eye came to rest, or it was rejected a while ago. True if
+    /// Sends the view if it changed, the eye came to rest, or it was refused a while ago. True if
     /// the server has the current view.
     fn send_view(&mut self, view: &ViewParams, now: Duration) -> bool {
         if !matches!(self.link, Link::Connected(_)) {
             return false;
         }
-        let mut view = self.scaled_view(view).protocol_view(self.next_view);
+        let mut view = self.tolerated(view).protocol_view(self.next_view);
+        let served = vertical_scale::served(&view.viewer(), self.vertical_scale);
+        view.eye[1] = served.eye.1;
+        view.tolerance_q4 = served.tolerance_q4 as u16;
         if let Some((sent, at)) = &self.sent {
             let same = View { id: view.id, velocity: view.velocity, ..*sent } == view;
             let elapsed = now.saturating_sub(*at);
-            let is_rejected = self.refusal.is_some() && elapsed >= REJECTED_INTERVAL;
+            let is_refused = self.refusal.is_some() && elapsed >= REFUSED_INTERVAL;
             // The server prefetches along the velocity: it must learn that the eye stands.
-            if (same && sent.velocity == [0; 3] && !is_rejected) || elapsed < VIEW_INTERVAL {
+            if (same && sent.velocity == [0; 3] && !is_refused) || elapsed < VIEW_INTERVAL {
                 return same;
             }
             if !same {
@@ -251,11 +255,9 @@ impl<F: ChunkStream> WorldStreamer<F> {
         true
     }
 
-    /// The view with the tolerance for chunk selection: errors grow with the vertical scale, and
-    /// the server knows the unscaled land.
-    fn scaled_view(&self, view: &ViewParams) -> ViewParams {
-        let times = f64::from(self.vertical_scale) / f64::from(vertical_scale::ONE);
-        ViewParams { tolerance_px: self.tolerance_px(view) / times.max(1.0), ..*view }
+    /// The view with the tolerance for chunk selection.
+    fn tolerated(&self, view: &ViewParams) -> ViewParams {
+        ViewParams { tolerance_px: self.tolerance_px(view), ..*view }
     }
 
     /// Whether the server has sent every chunk of the last sent view.
@@ -312,7 +314,7 @@ impl<F: ChunkStream> WorldStreamer<F> {
         self.last_miss.as_deref()
     }
 
-    /// Why the server rejected the last sent view, if it did.
+    /// Why the server refused the last sent view, if it did.
     #[must_use]
     pub fn refusal(&self) -> Option<&str> {
         self.refusal.as_deref()
@@ -468,7 +470,7 @@ mod tests {
     }
 
     #[test]
-    fn a_rejected_view_is_sent_again_after_a_while() {
+    fn a_refused_view_is_sent_again_after_a_while() {
         let mut streamer = WorldStreamer::new(Script::default(), 10);
         streamer.stream.events.push_back(connected(1));
         streamer.update(&view(), AT(0), 10, |_| ());

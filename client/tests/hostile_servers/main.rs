@@ -64,7 +64,7 @@ impl Outcome {
     /// The reason for which the server was given up.
     fn given_up(&self) -> &str {
         match &self.link {
-            Link::Refused(cause) => cause,
+            Link::GivenUp(cause) => cause,
             other => panic!("not given up: {other:?}"),
         }
     }
@@ -97,15 +97,15 @@ fn run_on(behaviour: Behaviour, change: impl Fn(Settings) -> Settings, most_sess
         let (link, traffic) = (streamer.link().clone(), streamer.stream().traffic());
         assert!(streamer.cache().len() <= CAPACITY as usize && traffic.waiting_events <= EVENT_CAPACITY);
         assert!(traffic.credits <= 256 && streamer.missed() <= 1024);
-        if let Link::Waiting { cause, .. } | Link::Refused(cause) = &link {
+        if let Link::Waiting { cause, .. } | Link::GivenUp(cause) = &link {
             assert!(!cause.contains(char::is_control) && cause.len() <= LONGEST_REASON, "{cause}");
             if !was_lost || streamer.failures() > failures {
                 causes.push(cause.clone());
             }
         }
-        was_lost = matches!(link, Link::Waiting { .. } | Link::Refused(_));
+        was_lost = matches!(link, Link::Waiting { .. } | Link::GivenUp(_));
         failures = streamer.failures();
-        let is_given_up = matches!(link, Link::Refused(_));
+        let is_given_up = matches!(link, Link::GivenUp(_));
         if is_complete || is_given_up || causes.len() >= most_sessions {
             let last_miss = streamer.last_miss().map(str::to_owned);
             return Outcome { link, traffic, is_complete, last_miss, causes };

@@ -95,11 +95,9 @@ pub fn measure(_: u64) -> Result<Curve> {
 fn sheet(caption: String, rows: Vec<Row>) -> Result<Curve> {
     let mut sheet = Sheet::new("anisotropy", caption, rows);
     sheet.column("anisotropy", |row| f64::from(row.anisotropy));
-    for (index, elevation_deg) in ELEVATIONS_DEG.into_iter().enumerate() {
-        sheet.column(format!("mean FLIP from {elevation_deg} degrees"), |row| row.flips[index]);
-    }
-    sheet.column("mean FLIP", |row| mean(row.flips.iter().copied()));
-    sheet.column("time ratio", |row| row.time_ratio);
+    let names = ELEVATIONS_DEG.map(|elevation_deg| format!("mean FLIP from {elevation_deg} degrees"));
+    sheet.columns(names, |row| [0, 1, 2, 3].map(|index| row.flips[index]));
+    sheet.columns(["mean FLIP", "time ratio"], |row| [mean(row.flips.iter().copied()), row.time_ratio]);
     let flip = |anisotropy| {
         let row = sheet.rows.iter().find(|row| row.anisotropy == anisotropy);
         row.map(|row| mean(row.flips.iter().copied()))

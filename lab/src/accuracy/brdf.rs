@@ -241,11 +241,8 @@ pub fn measure(_: u64) -> Result<Curve> {
         numbered(VARIANTS.map(|variant| variant.1), "; ")
     );
     let mut costs = Sheet::new("brdf_cost", caption, costs.collect());
-    costs.column("variant", |row| row.0 as f64);
-    costs.column("cost ratio", |row| row.1);
-    costs.column("RMS", |row| row.2.rms);
-    costs.column("p99", |row| row.2.p99);
-    costs.column("max", |row| row.2.max);
+    let names = ["variant", "cost ratio", "RMS", "p99", "max"];
+    costs.columns(names, |(variant, cost, error)| [*variant as f64, *cost, error.rms, error.p99, error.max]);
     let caption = format!(
         "relative error of the sun's reflection (GGX, f0 {F0}) against f64 with exact visibility, at \
          half vectors spread evenly over the lobe and eyes 0 to 85 degrees off the normal; f32 on {}, \
@@ -255,9 +252,8 @@ pub fn measure(_: u64) -> Result<Curve> {
     let mut errors = Sheet::new("brdf", caption, rows);
     errors.column("roughness", |row| row.roughness);
     for (index, name) in ERRORS.into_iter().enumerate() {
-        errors.column(format!("{name} max"), |row| row.errors[index].max);
-        errors.column(format!("{name} RMS"), |row| row.errors[index].rms);
-        errors.column(format!("{name} p99"), |row| row.errors[index].p99);
+        let names = ["max", "RMS", "p99"].map(|figure| format!("{name} {figure}"));
+        errors.columns(names, |Row { errors, .. }| [errors[index].max, errors[index].rms, errors[index].p99]);
     }
 
     let of_drawn = |column: &str| errors.points_where(drawn, "roughness", column);

@@ -149,13 +149,13 @@ fn tolerances(land: &Land, world: &WorldDigest) -> Result<Sheet<Coded>> {
         chunks.len()
     );
     let mut sheet = Sheet::new("codec_tolerance", caption, rows);
-    sheet.column("tolerance, m", |row| row.stated_m);
-    sheet.column("max error, m", |row| row.error_m);
+    sheet.columns(["tolerance, m", "max error, m"], |row| [row.stated_m, row.error_m]);
     for (effort, (_, name)) in EFFORTS.into_iter().enumerate() {
-        let per_vertex = |row: &Coded| row.by_effort[effort][0] / VERTEX_COUNT as f64;
-        sheet.column(format!("bytes per vertex, {name}"), per_vertex);
-        sheet.column(format!("encode, ms, {name}"), |row| row.by_effort[effort][1]);
-        sheet.column(format!("decode, ms, {name}"), |row| row.by_effort[effort][2]);
+        let names = ["bytes per vertex", "encode, ms", "decode, ms"].map(|what| format!("{what}, {name}"));
+        sheet.columns(names, |row| {
+            let [bytes, encode, decode] = row.by_effort[effort];
+            [bytes / VERTEX_COUNT as f64, encode, decode]
+        });
     }
     Ok(sheet)
 }
@@ -195,11 +195,10 @@ fn deliveries(land: &Land, world: &WorldDigest) -> Result<Sheet<Delivered>> {
         rows.push(Delivered { level, chunks: chunks.len(), by_delivery: [compact, fast, refined, seed] });
     }
     let mut sheet = Sheet::new("codec_delivery", DELIVERY, rows);
-    sheet.column("level", |row| row.level.into());
-    sheet.column("chunks", |row| row.chunks as f64);
+    sheet.columns(["level", "chunks"], |row| [row.level.into(), row.chunks as f64]);
     for (delivery, (name, _)) in DELIVERIES.into_iter().enumerate() {
-        sheet.column(format!("bytes, {name}"), |row| row.by_delivery[delivery][0]);
-        sheet.column(format!("client ms, {name}"), |row| row.by_delivery[delivery][1]);
+        let names = [format!("bytes, {name}"), format!("client ms, {name}")];
+        sheet.columns(names, |row| row.by_delivery[delivery]);
     }
     Ok(sheet)
 }

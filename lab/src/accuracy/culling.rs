@@ -187,14 +187,13 @@ pub fn measure(world_seed: u64) -> Result<Curve> {
         numbered(tests.iter().map(|test| &test.0), ", ")
     );
     let mut sheet = Sheet::new("culling", caption, rows);
-    sheet.column("scene", |row| row.scene as f64);
-    sheet.column("test", |row| row.test as f64);
-    sheet.column("seen", |row| row.outcome.score.visible as f64);
-    sheet.column("lost, % of seen", |row| row.outcome.lost_percent());
-    sheet.column("hidden", |row| row.outcome.score.hidden as f64);
-    sheet.column("kept, % of hidden", |row| row.outcome.kept_percent());
-    sheet.column("reads a ray", |row| row.outcome.reads_per_ray());
-    sheet.column("ns a ray", |row| row.outcome.ns_per_ray());
+    sheet.columns(["scene", "test"], |row| [row.scene, row.test].map(|number| number as f64));
+    sheet.columns(["seen", "lost, % of seen", "hidden", "kept, % of hidden"], |Row { outcome, .. }| {
+        let Score { visible, hidden, .. } = outcome.score;
+        [visible as f64, outcome.lost_percent(), hidden as f64, outcome.kept_percent()]
+    });
+    let of_rays = |row: &Row| [row.outcome.reads_per_ray(), row.outcome.ns_per_ray()];
+    sheet.columns(["reads a ray", "ns a ray"], of_rays);
 
     let choice = |(name, test, outcome): (&String, &Test, &Outcome)| Choice {
         name: name.clone(),
@@ -349,9 +348,8 @@ fn hysteresis(land: &Land, all: &[Case]) -> Result<Sheet<Hysteresis>> {
     let mut sheet = Sheet::new("culling_stay", caption, rows);
     ensure!(sheet.rows.iter().all(|row: &Hysteresis| row.tests[1][0] == 0.0), "T4 lost a visible chunk");
     sheet.column("frames", |row| row.frames as f64);
-    for (index, (_, column)) in HYSTERESIS_CURVES.into_iter().enumerate() {
-        sheet.column(column, |row| row.tests[index / 3][index % 3]);
-    }
+    let columns = HYSTERESIS_CURVES.map(|(_, column)| column);
+    sheet.columns(columns, |row| std::array::from_fn(|index| row.tests[index / 3][index % 3]));
     Ok(sheet)
 }
 
@@ -385,12 +383,11 @@ fn costs(land: &Land) -> Result<(Table, Panel)> {
         numbered(frames.ways.iter().map(|cost| cost.way), ", ")
     );
     let mut sheet = Sheet::new("culling_ways", caption, frames.ways.into_iter().enumerate().collect());
-    sheet.column("way", |row: &(usize, frames::Cost)| row.0 as f64);
-    sheet.column("clumps", |row| row.1.clumps as f64);
-    sheet.column("choice, ms", |row| row.1.choice_ms);
-    sheet.column("frame, ms", |row| row.1.frame_ms);
-    sheet.column("choice ratio", |row| row.1.choice_ratio);
-    sheet.column("frame ratio", |row| row.1.frame_ratio);
+    let names = ["way", "clumps", "choice, ms", "frame, ms", "choice ratio", "frame ratio"];
+    sheet.columns(names, |(way, cost): &(usize, frames::Cost)| {
+        let ratios = (cost.choice_ratio, cost.frame_ratio);
+        [*way as f64, cost.clumps as f64, cost.choice_ms, cost.frame_ms, ratios.0, ratios.1]
+    });
     let (x, y) = (linear("clumps drawn"), linear("time of a frame over that of T1"));
     let panel = Panel::new("Methods in the valley scene", x, y);
     let panel = sheet.front(panel, "clumps", "frame ratio", |row| {

@@ -11,6 +11,14 @@ pub const HEIGHTS: [(&str, &str); 2] = [("largest found", "max, m"), ("99th perc
 pub const SLOPES: [(&str, &str); 2] =
     [("largest found", "max, degrees"), ("99th percentile", "p99, degrees")];
 
+/// Their columns.
+pub const FIGURES: [&str; 4] = ["max, m", "p99, m", "max, degrees", "p99, degrees"];
+
+/// The values of [`FIGURES`].
+pub fn figures(height: &Figures, slope: &Figures) -> [f64; 4] {
+    [height.max, height.p99, slope.max, slope.p99]
+}
+
 /// Distance of the neighbours of a central difference, units: one vertex (2 m) to either side.
 pub const REACH: i32 = 1 << SPACING_BITS;
 

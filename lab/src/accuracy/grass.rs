@@ -126,13 +126,12 @@ pub fn measure(world_seed: u64) -> Result<Curve> {
     let mut density = Sheet::new("grass_density", caption.clone(), densities);
     density.column("clumps on 4 m²", |row| row.key[0]);
     let mut thinning = Sheet::new("grass_thinning", caption, thinnings);
-    thinning.column("thinned from, metres", |row| row.key[0]);
-    thinning.column("widest", |row| row.key[1]);
+    thinning.columns(["thinned from, metres", "widest"], |row| row.key);
     for sheet in [&mut density, &mut thinning] {
-        sheet.column("clumps", |row| row.clumps);
-        sheet.column("clumps, share of the reference's", |row| row.clumps / reference.clumps);
-        sheet.column("coverage, %", |row| 100.0 * row.coverage);
-        sheet.column("coverage error, %", |row| 100.0 * row.coverage_error);
+        let names = ["clumps", "clumps, share of the reference's"];
+        sheet.columns(names, |row| [row.clumps, row.clumps / reference.clumps]);
+        let covers = ["coverage, %", "coverage error, %"];
+        sheet.columns(covers, |row| [row.coverage, row.coverage_error].map(|share| 100.0 * share));
         sheet.column("mean FLIP", |row| row.flip);
     }
     let title = "Grass: density and thinning (reference: every clump at every distance)";

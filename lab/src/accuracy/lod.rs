@@ -73,13 +73,12 @@ pub fn measure(world_seed: u64) -> Result<Curve> {
         times.as_ref().map_or("no GPU", |times| times.adapter.as_str())
     );
     let mut sheet = Sheet::new("lod", caption, rows.into_iter().collect::<Result<_>>()?);
-    sheet.column("tolerance, px", |row| row.tolerance_px);
-    sheet.column("max, px", |row| row.errors.max_px());
-    sheet.column("rms, px", |row| row.errors.rms_px());
-    sheet.column("max, tolerances", |row| row.errors.max_px() / row.tolerance_px);
-    sheet.column("triangles", |row| row.triangles);
-    sheet.column("chunks", |row| row.chunks);
-    sheet.column("time ratio", |row| row.time_ratio);
+    sheet.columns(["tolerance, px", "max, px", "rms, px", "max, tolerances"], |row| {
+        let (max_px, rms_px) = (row.errors.max_px(), row.errors.rms_px());
+        [row.tolerance_px, max_px, rms_px, max_px / row.tolerance_px]
+    });
+    let work = ["triangles", "chunks", "time ratio"];
+    sheet.columns(work, |row| [row.triangles, row.chunks, row.time_ratio]);
 
     let front = |title, x, y, error: &str, cost: &str| {
         let name = |row: &Row| (format!("{} px", row.tolerance_px), row.tolerance_px == SHIPPED_PX);

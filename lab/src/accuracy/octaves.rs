@@ -1,7 +1,7 @@
 //! Octaves kept: cost against error. Below seven octaves the base field is not a spline: grids that
 //! carry so few are too coarse to share nodes.
 
-use super::errors::{HEIGHTS, SLOPES, compare, exact, integers};
+use super::errors::{FIGURES, HEIGHTS, SLOPES, compare, exact, figures, integers};
 use crate::curve::{Curve, Sheet};
 use crate::reference_f64::ReferenceF64;
 use crate::sample;
@@ -44,10 +44,7 @@ pub fn measure(world_seed: u64) -> Curve {
     let mut sheet = Sheet::new("octaves", caption, rows.collect());
     let full = sheet.rows.last().map_or(f64::NAN, |row| row.seconds);
     sheet.column("octaves", |row| row.octaves.count() as f64);
-    sheet.column("max, m", |row| row.height.max);
-    sheet.column("p99, m", |row| row.height.p99);
-    sheet.column("max, degrees", |row| row.slope.max);
-    sheet.column("p99, degrees", |row| row.slope.p99);
+    sheet.columns(FIGURES, |row| figures(&row.height, &row.slope));
     sheet.column("cost ratio", |row| row.seconds / full);
     sheet.column("ns per vertex", |row| row.seconds * 1e9 / (CHUNKS.len() * VERTEX_COUNT) as f64);
 

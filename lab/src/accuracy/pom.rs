@@ -87,7 +87,7 @@ pub fn measure(kind: Kind) -> Result<Curve> {
     // Method 1 takes 4 steps.
     let coarse = worst(rows.iter().filter(|row| row.method == 1).map(|row| row.score.wrong));
     ensure!(coarse > 0.01, "4 steps miss nothing of {}: the measurement detects nothing", kind.name());
-    let (name, title) = titles(kind);
+    let (name, title) = TITLES[layer];
     let caption = format!(
         "places found by each method against the f64 reference, map {} of {SIDE} texels, relief {AMPLITUDE} \
          tiles high, {RAYS} rays each, {}; methods: {}.",
@@ -96,11 +96,8 @@ pub fn measure(kind: Kind) -> Result<Curve> {
         numbered(methods.iter().map(|method| &method.name), "; ")
     );
     let mut sheet = Sheet::new(name, caption, rows);
-    sheet.column("angle, degrees", |row| row.angle_deg.into());
-    sheet.column("method", |row| row.method as f64);
-    sheet.column("p50, texels", |row| row.score.texels[0]);
-    sheet.column("p95, texels", |row| row.score.texels[1]);
-    sheet.column("p99.9, texels", |row| row.score.texels[2]);
+    sheet.columns(["angle, degrees", "method"], |row| [row.angle_deg.into(), row.method as f64]);
+    sheet.columns(["p50, texels", "p95, texels", "p99.9, texels"], |row| row.score.texels);
     sheet.column("more than 4 texels off, %", |row| 100.0 * row.score.wrong);
     sheet.column("of these no tangents, % of all", |row| 100.0 * row.score.wrong_without_excuse);
     sheet.column("residual p99.9, of the relief", |row| row.score.residual);
@@ -122,17 +119,13 @@ pub fn measure(kind: Kind) -> Result<Curve> {
 const ANGLE_TITLES: [&str; 5] =
     ["30 degrees from above", "60 degrees", "75 degrees", "85 degrees", "89 degrees: along the plane"];
 
-/// Name and title of a map's curve.
-fn titles(kind: Kind) -> (&'static str, &'static str) {
-    match kind {
-        Kind::Fbm => ("pom_fbm", "Parallax occlusion over smooth hills: cost of a missed feature"),
-        Kind::Brick => ("pom_brick", "Parallax occlusion over bricks: cost of a missed feature"),
-        Kind::Posts => ("pom_posts", "Parallax occlusion over thin posts: cost of a missed feature"),
-        Kind::Ridges => {
-            ("pom_ridges", "Parallax occlusion over ridges of one texel: cost of a missed feature")
-        }
-    }
-}
+/// Names and titles of the curves of maps.
+const TITLES: [(&str, &str); Kind::ALL.len()] = [
+    ("pom_fbm", "Parallax occlusion over smooth hills: cost of a missed feature"),
+    ("pom_brick", "Parallax occlusion over bricks: cost of a missed feature"),
+    ("pom_posts", "Parallax occlusion over thin posts: cost of a missed feature"),
+    ("pom_ridges", "Parallax occlusion over ridges of one texel: cost of a missed feature"),
+];
 
 /// Measures the other knobs: thresholds of the automatic tier, filtering of heights, shadow.
 pub fn knobs(_: u64) -> Result<Curve> {
@@ -183,11 +176,10 @@ fn travels(bench: &PomBench, stage: &Stage) -> Result<(Table, Vec<Panel>)> {
         numbered(Kind::ALL.map(Kind::name), "; ")
     );
     let mut sheet = Sheet::new("pom_travel", caption, rows);
-    sheet.column("map", |row| row.layer as f64);
-    sheet.column("travel, texels", |row| row.texels.into());
+    sheet.columns(["map", "travel, texels"], |row| [row.layer as f64, row.texels.into()]);
     for (index, tier) in TIERS.into_iter().enumerate() {
-        sheet.column(format!("{tier} p99.9, texels"), |row| row.tiers[index][0]);
-        sheet.column(format!("{tier} fetches"), |row| row.tiers[index][1]);
+        let names = [format!("{tier} p99.9, texels"), format!("{tier} fetches")];
+        sheet.columns(names, |row| row.tiers[index]);
     }
     let x = log("travel through the relief, texels");
     let panel = |title, y, layer: usize, tiers: &[&'static str], figure: &str| {
@@ -219,9 +211,7 @@ fn by_map<const N: usize>(
 ) -> (Table, Panel) {
     let mut sheet = Sheet::new(name, caption, rows.into_iter().enumerate().collect());
     sheet.column("map", |row| row.0 as f64);
-    for (index, column) in columns.into_iter().enumerate() {
-        sheet.column(column, |row| row.1[index]);
-    }
+    sheet.columns(columns, |row| row.1);
     let line = |panel: Panel, column| panel.line(column, floored(sheet.points("map", column), floor));
     let panel = columns.into_iter().take(lines).fold(panel, line);
     (sheet.into(), panel)

@@ -124,9 +124,7 @@ fn sheet<const N: usize>(
 ) -> Sheet<Row<N>> {
     let mut sheet = Sheet::new(name, caption, rows);
     sheet.column(camera, |row| row.camera);
-    for (index, figure) in figures.into_iter().enumerate() {
-        sheet.column(figure, |row| row.figures[index]);
-    }
+    sheet.columns(figures, |row| row.figures);
     sheet
 }
 

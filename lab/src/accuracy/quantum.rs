@@ -1,6 +1,6 @@
 //! Height quantum: size on the wire against error.
 
-use super::errors::{HEIGHTS, SLOPES, compare, exact, integers};
+use super::errors::{FIGURES, HEIGHTS, SLOPES, compare, exact, figures, integers};
 use crate::curve::{Curve, Sheet};
 use crate::reference_f64::ReferenceF64;
 use crate::sample;
@@ -44,10 +44,7 @@ pub fn measure(world_seed: u64) -> Curve {
     );
     let mut sheet = Sheet::new("quantum", caption, rows.collect());
     sheet.column("quantum, m", |row| row.quantum_m);
-    sheet.column("max, m", |row| row.height.max);
-    sheet.column("p99, m", |row| row.height.p99);
-    sheet.column("max, degrees", |row| row.slope.max);
-    sheet.column("p99, degrees", |row| row.slope.p99);
+    sheet.columns(FIGURES, |row| figures(&row.height, &row.slope));
     sheet.column("bytes per vertex", |row| row.bytes_per_vertex);
 
     let span = [1.0 / 256.0, 1.0];

@@ -85,14 +85,13 @@ pub fn measure(world_seed: u64) -> Result<Curve> {
         );
         let mut sheet = Sheet::new(table, caption, rows.collect::<Result<_>>()?);
         let contrast = |row: &Row| row.field.deviation / reference.deviation;
-        sheet.column("knob", |row| row.knob as f64);
-        sheet.column("samples", |row| KNOB[row.knob].2);
-        sheet.column("time ratio", |row| row.time_ratio);
-        sheet.column("repetition", |row| row.field.repetition);
-        sheet.column("contrast kept", contrast);
-        sheet.column("contrast lost", |row| (1.0 - contrast(row)).abs());
-        let histogram = |row: &Row| row.field.histogram_distance(&reference) / reference.deviation;
-        sheet.column("histogram, deviations", histogram);
+        sheet.columns(["knob", "samples", "time ratio", "repetition"], |row| {
+            [row.knob as f64, KNOB[row.knob].2, row.time_ratio, row.field.repetition]
+        });
+        sheet.columns(["contrast kept", "contrast lost", "histogram, deviations"], |row| {
+            let apart = row.field.histogram_distance(&reference) / reference.deviation;
+            [contrast(row), (1.0 - contrast(row)).abs(), apart]
+        });
 
         let x = log("time, ratio to off");
         let front = |title, y, error| {

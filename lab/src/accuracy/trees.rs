@@ -4,12 +4,11 @@
 use crate::curve::{Curve, Sheet};
 use crate::flip::{PIXELS_PER_DEGREE, mean};
 use crate::headless_renderer::HeadlessRenderer;
-use crate::lod::screen;
+use crate::lod::screen::{self, ViewCase};
 use crate::supersampled::{self, averaged};
 use crate::world_builder::WorldBuilder;
 use anyhow::{Context, Result, ensure};
 use chart::{Panel, linear, log};
-use client::camera::Projection;
 use client::features::vegetation::VegetationSettings;
 use client::gpu::Image;
 use client::settings::RenderSettings;
@@ -72,14 +71,8 @@ pub fn measure(world_seed: u64) -> Result<Curve> {
     let adapter = renderer.adapter();
     let mut worlds = Vec::new();
     for camera in CAMERAS {
-        let view = ViewParams {
-            pose: camera.parse()?,
-            projection: Projection { fov_deg: 60.0, width: SIZE.0, height: SIZE.1 },
-            view_distance_m: 8_000,
-            tolerance_px: 2.0,
-            time_s: 0.0,
-            settings: RenderSettings { plants: LEAVES, ..RenderSettings::default() },
-        };
+        let settings = RenderSettings { plants: LEAVES, ..RenderSettings::default() };
+        let view = ViewCase { pose: camera.parse()?, tolerance_px: 2.0 }.shot_of(SIZE, settings);
         worlds.push((view, screen::selected(&mut WorldBuilder::new(land), &view)));
     }
     let mut drawn = |plants: VegetationSettings| -> Result<Vec<Rendered>> {
@@ -153,10 +146,8 @@ pub fn measure(world_seed: u64) -> Result<Curve> {
     );
     let sheet = |name, knob: &str, rows| {
         let mut sheet = Sheet::new(name, caption.clone(), rows);
-        sheet.column(knob, |row: &Row| row.metres);
-        sheet.column("trees one by one", |row| row.trees);
-        sheet.column("vertices", |row| row.vertices);
-        sheet.column("mean FLIP", |row| row.flip);
+        let names = [knob, "trees one by one", "vertices", "mean FLIP"];
+        sheet.columns(names, |row: &Row| [row.metres, row.trees, row.vertices, row.flip]);
         sheet
     };
     let impostors = sheet("trees_impostors", "impostors from, metres", impostors);

@@ -55,31 +55,24 @@ struct Method {
     name: &'static str,
     method: u32,
     steps: u32,
-    floor_cosine: f32,
     /// The tier as an option, if it is one.
     tier: Option<WaterTier>,
 }
 
 impl Method {
     const fn tier(name: &'static str, tier: WaterTier) -> Self {
-        Self { name, method: tier as u32, steps: 0, floor_cosine: 1.0, tier: Some(tier) }
+        Self { name, method: tier as u32, steps: 0, tier: Some(tier) }
     }
 }
 
 const METHODS: [Method; 8] = [
     Method::tier("flat", WaterTier::Flat),
-    Method { name: "fixed view", method: PROBE_FIXED, steps: 0, floor_cosine: 1.0, tier: None },
+    Method { name: "fixed view", method: PROBE_FIXED, steps: 0, tier: None },
     Method::tier("offset", WaterTier::Offset),
     Method::tier("two", WaterTier::Two),
     Method::tier("three", WaterTier::Three),
     Method::tier("four", WaterTier::Four),
-    Method {
-        name: "three, normal's vertical part only",
-        method: PROBE_STEPPED,
-        steps: 3,
-        floor_cosine: 1.0,
-        tier: None,
-    },
+    Method { name: "three, normal's vertical part only", method: PROBE_STEPPED, steps: 3, tier: None },
     Method::tier("march", WaterTier::March),
 ];
 
@@ -119,12 +112,9 @@ pub fn measure(_: u64) -> Result<Curve> {
         bench.adapter()
     );
     let mut table = Sheet::new("water", caption, rows);
-    table.column("steepness", |row| row.steepness.into());
-    table.column("angle, degrees", |row| row.angle_deg.into());
+    table.columns(["steepness", "angle, degrees"], |row| [row.steepness, row.angle_deg].map(f64::from));
     for (index, name) in names.into_iter().enumerate() {
-        for (part, quantile) in PARTS.into_iter().enumerate() {
-            table.column(format!("{name} {quantile}"), |row| row.errors[index][part]);
-        }
+        table.columns(PARTS.map(|quantile| format!("{name} {quantile}")), |row| row.errors[index]);
     }
     let caption = format!(
         "mean FLIP ({PIXELS_PER_DEGREE} pixels per degree) of a panel of the scene of the water against the \
@@ -133,8 +123,7 @@ pub fn measure(_: u64) -> Result<Curve> {
         PICTURE.1
     );
     let mut flip = Sheet::new("water_flip", caption, pictures);
-    flip.column("steepness", |row| row.steepness.into());
-    flip.column("fixed view", |row| row.fixed);
+    flip.columns(["steepness", "fixed view"], |row| [row.steepness.into(), row.fixed]);
     for (index, method) in METHODS.iter().enumerate().filter(|(_, method)| method.tier.is_some()) {
         flip.column(method.name, |row| row.tiers[index]);
     }
@@ -147,10 +136,8 @@ pub fn measure(_: u64) -> Result<Curve> {
         numbered(names, "; ")
     );
     let mut cost = Sheet::new("water_cost", caption, (0..METHODS.len()).collect());
-    cost.column("method", |index| *index as f64);
-    cost.column("cost ratio", |index| costs[*index]);
-    cost.column("p95, texels", |index| errors[*index][1]);
-    cost.column("p99.9, texels", |index| errors[*index][2]);
+    let columns = ["method", "cost ratio", "p95, texels", "p99.9, texels"];
+    cost.columns(columns, |index| [*index as f64, costs[*index], errors[*index][1], errors[*index][2]]);
     let choice = |index: &usize| Choice {
         name: names[*index].to_owned(),
         at: (costs[*index], errors[*index][2].max(RESOLUTION)),
@@ -230,17 +217,12 @@ fn rays(count: u32, steepness: f32, angle_deg: f32) -> Vec<WaveProbe> {
 }
 
 fn by(method: Method, rays: &[WaveProbe]) -> Vec<WaveProbe> {
-    let Method { method, steps, floor_cosine, .. } = method;
-    rays.iter().map(|ray| WaveProbe { method, steps, floor_cosine, ..*ray }).collect()
+    let Method { method, steps, .. } = method;
+    rays.iter().map(|ray| WaveProbe { method, steps, ..*ray }).collect()
 }
 
-const REFERENCE: Method = Method {
-    name: "reference",
-    method: PROBE_MARCHED,
-    steps: REFERENCE_STEPS,
-    floor_cosine: 1.0,
-    tier: None,
-};
+const REFERENCE: Method =
+    Method { name: "reference", method: PROBE_MARCHED, steps: REFERENCE_STEPS, tier: None };
 
 /// Distance between two places in texels.
 fn texels(one: &FoundWave, other: &FoundWave) -> f64 {

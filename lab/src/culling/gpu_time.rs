@@ -124,7 +124,7 @@ fn measure_plan(land: &Land, plan: &Plan) -> Result<GpuTime> {
             bench.timed(&frame_of(&meadow(land, plan.size, sparse, range_m)?, Cull::Hierarchical), plan)?;
         return Ok(GpuTime {
             adapter: bench.gpu.name(),
-            is_software: bench.is_software(),
+            is_software: bench.gpu.is_software(),
             size: plan.size,
             samples: SAMPLES,
             range_m,
@@ -179,10 +179,6 @@ impl Bench {
         })
     }
 
-    fn is_software(&self) -> bool {
-        self.gpu.adapter.get_info().device_type == wgpu::DeviceType::Cpu
-    }
-
     /// Culls a frame's plants.
     fn cull(&mut self, frame: &FrameData, encoder: &mut wgpu::CommandEncoder) -> Result<()> {
         let plants = frame.plants.as_ref().context("a frame without plants")?;
@@ -209,7 +205,7 @@ impl Bench {
     /// Culls and draws a frame once without timing, then several times.
     fn timed(&mut self, frame: &FrameData, plan: &Plan) -> Result<Timed> {
         let clumps = self.clumps(frame)?;
-        let count = plan.frames[usize::from(self.is_software())];
+        let count = plan.frames[usize::from(self.gpu.is_software())];
         let (mut program, mut passes) = (Vec::new(), Vec::new());
         for index in 0..=count {
             let begun = Instant::now();

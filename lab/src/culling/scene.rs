@@ -29,18 +29,18 @@ impl Scene {
         let mut world = ChunkCache::new(slots);
         world.set_land(*land);
         world.set_vertical_scale(case.stretch);
-        let times = f64::from(case.stretch) / f64::from(vertical_scale::ONE);
-        let judged = ViewParams { tolerance_px: case.shot.tolerance_px / times.max(1.0), ..case.shot };
-        let tops: BTreeSet<ChunkKey> = judged.viewer().tops().into_iter().collect();
+        let viewer = case.shot.viewer();
+        let served = vertical_scale::served(&viewer, case.stretch);
+        let tops: BTreeSet<ChunkKey> = served.tops().into_iter().collect();
         let has_arrived = |key: ChunkKey| tops.contains(&key) || case.absent.has_arrived(key);
-        let needed = lod::select(land, &judged.viewer(), slots as usize);
+        let needed = lod::select(land, &served, slots as usize);
         for needed in needed.into_iter().filter(|needed| has_arrived(needed.key)) {
-            world.insert(vertical_scale::scaled(land.chunk(needed.key), case.stretch));
+            world.insert(land.chunk(needed.key));
         }
         let eye = case.shot.pose.eye();
         let shot =
             ViewParams { pose: case.shot.pose.above(world.ground(eye.units[0], eye.units[2])), ..case.shot };
-        let drawn = select(&mut world, &judged.viewer()).drawn;
+        let drawn = select(&mut world, &viewer).drawn;
         let plants = shot.plants(&world, &drawn)?;
         Some(Self { name: case.name.clone(), shot, world, drawn, plants })
     }

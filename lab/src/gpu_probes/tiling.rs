@@ -93,10 +93,6 @@ impl ProbeTiling {
     /// # Errors
     /// The device fails.
     pub fn read(&self, gpu: &Gpu) -> Result<Vec<f32>, GpuError> {
-        let bytes = gpu.read_buffer(&self.luminances, 0..BYTES)?;
-        Ok(bytes
-            .chunks_exact(4)
-            .map(|word| f32::from_le_bytes([word[0], word[1], word[2], word[3]]))
-            .collect())
+        Ok(bytemuck::pod_collect_to_vec(&gpu.read_buffer(&self.luminances, 0..BYTES)?))
     }
 }

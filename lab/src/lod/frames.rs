@@ -25,6 +25,8 @@ const WARM_UP: usize = 3;
 /// Slots of a world.
 const SLOTS: u32 = 7_000;
 
+const TIMED: wgpu::Features = wgpu::Features::TIMESTAMP_QUERY;
+
 /// Picture size on a software driver, pixels: a ratio needs no large picture.
 const SMALL: (u32, u32) = (640, 360);
 
@@ -71,12 +73,12 @@ pub struct Passes {
 /// Times `timed` frames of the 8 km view at each of some tolerances: 1920 x 1080 on a GPU, smaller
 /// on a processor.
 pub fn measure(land: Land, tolerances_px: &[f64], timed: usize) -> Result<Frames> {
-    let mut renderer = HeadlessRenderer::open_timed(SMALL, SLOTS)?;
+    let mut renderer = HeadlessRenderer::open_with(SMALL, SLOTS, TIMED)?;
     let is_software = renderer.is_software();
     let mut size = SMALL;
     if !is_software {
         size = (screen::LENS.width, screen::LENS.height);
-        renderer = HeadlessRenderer::open_timed(size, SLOTS)?;
+        renderer = HeadlessRenderer::open_with(size, SLOTS, TIMED)?;
     }
     let mut frames = Frames {
         adapter: renderer.adapter(),

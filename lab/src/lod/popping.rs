@@ -5,10 +5,11 @@
 //! change by one frame of motion, with levels frozen, is the scale below which a change of level is
 //! not visible.
 
+use super::screen::ViewCase;
 use crate::headless_renderer::HeadlessRenderer;
 use crate::world_builder::WorldBuilder;
 use client::cache::ChunkCache;
-use client::camera::{Pose, Projection};
+use client::camera::Pose;
 use client::frame::FrameData;
 use client::gpu::{GpuError, Image};
 use client::lod::{Selection, select};
@@ -30,9 +31,6 @@ const STEP_M: f64 = 1.0;
 
 /// Tolerated screen error, pixels: small, because pictures this small hold few levels.
 const TOLERANCE_PX: f64 = 0.5;
-
-/// View distance, metres.
-const VIEW_DISTANCE_M: u32 = 8_000;
 
 /// Slots of the world of a flight.
 const SLOTS: u32 = 6_000;
@@ -156,14 +154,7 @@ impl Flight {
         let highest_m = (0..=frames).map(|frame| ground_m(at(frame))).fold(0.0, f64::max);
         let [x, z] = at(frame);
         pose.position_m = [x, highest_m + self.clearance_m, z].into();
-        ViewParams {
-            pose,
-            projection: Projection { fov_deg: 60.0, width: SIZE.0, height: SIZE.1 },
-            view_distance_m: VIEW_DISTANCE_M,
-            tolerance_px: TOLERANCE_PX,
-            time_s: 0.0,
-            settings: RenderSettings::default(),
-        }
+        ViewCase { pose, tolerance_px: TOLERANCE_PX }.shot_of(SIZE, RenderSettings::default())
     }
 }
 

@@ -105,6 +105,11 @@ impl ViewCase {
             settings: RenderSettings::default(),
         }
     }
+
+    /// The same as a picture of a size and by settings.
+    pub fn shot_of(&self, (width, height): (u32, u32), settings: RenderSettings) -> ViewParams {
+        ViewParams { projection: Projection { width, height, ..LENS }, settings, ..self.shot() }
+    }
 }
 
 /// Seeded poses: over land, coasts and rims, half of them on islands all over the world, from eye

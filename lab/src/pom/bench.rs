@@ -9,7 +9,7 @@ use client::gpu::pipeline::compute_pipelines;
 use client::gpu::{Gpu, offscreen};
 use shaders::SHADERS;
 use shaders::layout::{PomParams, PomProbe, PomResult};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 /// The bench: a device and height maps on it.
 pub struct PomBench {
@@ -43,7 +43,7 @@ impl PomBench {
 
     /// Whether the driver has no GPU.
     pub fn is_software(&self) -> bool {
-        self.gpu.adapter.get_info().device_type == wgpu::DeviceType::Cpu
+        self.gpu.is_software()
     }
 
     /// Puts maps of one side on the GPU, with or without cones; the layer of a probe is the place
@@ -54,29 +54,16 @@ impl PomBench {
     pub fn upload(&self, maps: &[HeightMap], has_cones: bool) -> Result<PomMaps> {
         let mut uploaded = PomMaps::upload(&self.gpu.device, &self.gpu.queue, maps);
         if has_cones {
-            self.bake_cones(&mut uploaded, maps.len())?;
+            let layers: Vec<u32> = (0..maps.len() as u32).collect();
+            uploaded.bake_cones(&self.gpu, &layers)?;
         }
         Ok(uploaded)
-    }
-
-    /// Bakes the cones of the first so many layers; how long it took.
-    ///
-    /// # Errors
-    /// The GPU fails.
-    pub fn bake_cones(&self, maps: &mut PomMaps, layers: usize) -> Result<Duration> {
-        let start = Instant::now();
-        let layers: Vec<u32> = (0..layers as u32).collect();
-        maps.bake_cones(&self.gpu, &layers)?;
-        Ok(start.elapsed())
     }
 
     /// The baked cones of the first layer at a mip level, row by row.
     pub fn cones(&self, maps: &PomMaps, level: u32) -> Result<Vec<f32>> {
         let bytes = offscreen::read_level(&self.gpu, maps.cones(), level, size_of::<f32>())?;
-        Ok(bytes
-            .chunks_exact(4)
-            .map(|four| f32::from_le_bytes([four[0], four[1], four[2], four[3]]))
-            .collect())
+        Ok(bytemuck::pod_collect_to_vec(&bytes))
     }
 
     /// Runs probes, `repeats` times for a time that outweighs what a submission costs; also how

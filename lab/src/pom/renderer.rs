@@ -4,7 +4,6 @@
 use crate::headless_renderer;
 use crate::stats::quantile;
 use client::camera::{Pose, Projection};
-use client::features::materials::CustomMaterials;
 use client::features::pom::PomSettings;
 use client::features::terrain_clipmap::window::STANDARD_TEXELS;
 use client::frame::FrameData;
@@ -74,25 +73,11 @@ impl Mask {
 impl PomRenderer {
     /// Opens the best adapter for pictures of a size in pixels, with the procedural materials.
     pub fn open(scene: Scene, size: (u32, u32)) -> Result<Self, GpuError> {
-        Self::with_materials(scene, size, &CustomMaterials::default())
+        Self::filtered(scene, size, 1)
     }
 
-    /// The same with own materials.
-    pub fn with_materials(scene: Scene, size: (u32, u32), own: &CustomMaterials) -> Result<Self, GpuError> {
-        Self::open_with(scene, size, 1, own)
-    }
-
-    /// The same with the procedural materials and an anisotropy of their filter, 1 to 16.
+    /// The same with an anisotropy of the filter of materials, 1 to 16.
     pub fn filtered(scene: Scene, size: (u32, u32), anisotropy: u16) -> Result<Self, GpuError> {
-        Self::open_with(scene, size, anisotropy, &CustomMaterials::default())
-    }
-
-    fn open_with(
-        scene: Scene,
-        size: (u32, u32),
-        anisotropy: u16,
-        own: &CustomMaterials,
-    ) -> Result<Self, GpuError> {
         let gpu = Gpu::open_blocking()?;
         let options = RenderOptions {
             scene,
@@ -103,7 +88,7 @@ impl PomRenderer {
             slots: 1,
             clipmap_texels: STANDARD_TEXELS,
         };
-        let renderer = Renderer::with_materials(&gpu, &options, own);
+        let renderer = Renderer::new(&gpu, &options);
         let target = OffscreenTarget::new(&gpu.device, size.0, size.1);
         Ok(Self { gpu, renderer, target, scene, size })
     }

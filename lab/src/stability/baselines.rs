@@ -27,44 +27,31 @@ pub fn baselines(world_seed: u64) -> Vec<Baseline> {
     // Its gradients are (±1, ±1) and its octave is scaled by √2: twice a unit gradient's.
     let ours = fine_slope();
     let finest = 1.0 / cell_m(FINE_OCTAVES - 1);
+    let octave = 2.0 * NOISE_SLOPE * finest;
+    let unit_m = 1.0 / f64::from(1i32 << FINE_BITS);
+    let rounded = |x, z| [x, z].map(|units| f64::from(metres_f32(units)));
     vec![
-        Baseline {
-            name: "ours, fixed point",
-            slope: ours,
-            relief_m: Box::new(move |x, z| {
-                f64::from(fixed.at(x, z, Octaves::ALL)) / f64::from(1i32 << FINE_BITS)
-            }),
-        },
-        Baseline {
-            name: "our formula in f32",
-            slope: ours,
-            relief_m: Box::new(move |x, z| f64::from(float.fractal_sum(metres_f32(x), metres_f32(z)))),
-        },
-        Baseline {
-            name: "noise 0.9 Fbm<Perlin>, f32 coordinates",
-            slope: 2.0 * ours,
-            relief_m: Box::new(move |x, z| {
-                TOTAL_M * sum_f32.get([f64::from(metres_f32(x)), f64::from(metres_f32(z))])
-            }),
-        },
-        Baseline {
-            name: "noise 0.9 Fbm<Perlin>, f64 coordinates",
-            slope: 2.0 * ours,
-            relief_m: Box::new(move |x, z| TOTAL_M * sum.get([metres(x), metres(z)])),
-        },
-        Baseline {
-            name: "noise 0.9 Perlin (8 m), f32 coordinates",
-            slope: 2.0 * NOISE_SLOPE * finest,
-            relief_m: Box::new(move |x, z| {
-                perlin_f32.get([f64::from(metres_f32(x)) * finest, f64::from(metres_f32(z)) * finest])
-            }),
-        },
-        Baseline {
-            name: "noise 0.9 Perlin (8 m), f64 coordinates",
-            slope: 2.0 * NOISE_SLOPE * finest,
-            relief_m: Box::new(move |x, z| perlin.get([metres(x) * finest, metres(z) * finest])),
-        },
+        baseline("ours, fixed point", ours, move |x, z| f64::from(fixed.at(x, z, Octaves::ALL)) * unit_m),
+        baseline("our formula in f32", ours, move |x, z| {
+            float.fractal_sum(metres_f32(x), metres_f32(z)).into()
+        }),
+        baseline("noise 0.9 Fbm<Perlin>, f32 coordinates", 2.0 * ours, move |x, z| {
+            TOTAL_M * sum_f32.get(rounded(x, z))
+        }),
+        baseline("noise 0.9 Fbm<Perlin>, f64 coordinates", 2.0 * ours, move |x, z| {
+            TOTAL_M * sum.get([metres(x), metres(z)])
+        }),
+        baseline("noise 0.9 Perlin (8 m), f32 coordinates", octave, move |x, z| {
+            perlin_f32.get(rounded(x, z).map(|metres| metres * finest))
+        }),
+        baseline("noise 0.9 Perlin (8 m), f64 coordinates", octave, move |x, z| {
+            perlin.get([metres(x) * finest, metres(z) * finest])
+        }),
     ]
+}
+
+fn baseline(name: &'static str, slope: f64, relief_m: impl Fn(i32, i32) -> f64 + Sync + 'static) -> Baseline {
+    Baseline { name, slope, relief_m: Box::new(relief_m) }
 }
 
 #[cfg(test)]

@@ -61,6 +61,11 @@ impl Check {
     }
 }
 
+/// Adds the cases of another run to each.
+pub fn merged(all: Vec<Check>, one: Vec<Check>) -> Vec<Check> {
+    all.into_iter().zip(one).map(|(all, one)| all.merged(one)).collect()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

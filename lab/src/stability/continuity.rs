@@ -5,7 +5,7 @@
 //! any height function.
 
 use super::bounds::{HEIGHT_ERROR, Local, height_near};
-use super::check::Check;
+use super::check::{self, Check};
 use super::samples::{self, VERTEX_STEP, Walk};
 use super::{edges, thresholds};
 use crate::reference_f64::formula::World;
@@ -23,77 +23,42 @@ const DIRECT_LEVEL: u8 = 5;
 /// Position (units) and octaves to height (units).
 pub type Heights = Box<dyn Fn(i32, i32, Octaves) -> f64>;
 
+/// The checks of a sweep.
+const NAMES: [&str; 7] = [
+    "steps of one unit within the slope bound",
+    "steps of one vertex (2 m) within the slope bound",
+    "vertices within 1/128 m of f64",
+    "points between vertices within 1/128 m of f64",
+    "open sea exactly flat",
+    "steps of one unit without a spline within the slope bound",
+    "points without a spline within 1/128 m of f64",
+];
+
 /// Results of the sweep of one world.
 struct Sweep {
     world: World,
-    unit_steps: Check,
-    vertex_steps: Check,
-    at_vertices: Check,
-    between_vertices: Check,
-    open_sea: Check,
-    direct_steps: Check,
-    direct_heights: Check,
-}
-
-/// Which checks an octave count is entered into.
-#[derive(Clone, Copy, PartialEq, Eq)]
-enum Kind {
-    Splined,
-    Direct,
+    /// By [`NAMES`].
+    checks: [Check; NAMES.len()],
 }
 
 /// Sweeps worlds with a height function of their seed.
 pub fn sweep(seeds: &[u64], heights: impl Fn(u64) -> Heights + Sync) -> Vec<Check> {
-    let found: Vec<Sweep> = seeds
-        .into_par_iter()
-        .map(|seed| {
-            let mut sweep = Sweep::new(*seed);
-            sweep.run(*seed, &*heights(*seed));
-            sweep
-        })
-        .collect();
-    let mut checks = Sweep::new(0).into_checks();
-    for sweep in found {
-        checks = checks.into_iter().zip(sweep.into_checks()).map(|(all, one)| all.merged(one)).collect();
-    }
-    checks
+    let found = seeds.into_par_iter().map(|seed| {
+        let mut sweep = Sweep { world: World::new(*seed), checks: NAMES.map(Check::new) };
+        sweep.run(*seed, &*heights(*seed));
+        Vec::from(sweep.checks)
+    });
+    let found: Vec<_> = found.collect();
+    found.into_iter().fold(NAMES.map(Check::new).into(), check::merged)
 }
 
 impl Sweep {
-    fn new(seed: u64) -> Self {
-        Self {
-            world: World::new(seed),
-            unit_steps: Check::new("steps of one unit within the slope bound"),
-            vertex_steps: Check::new("steps of one vertex (2 m) within the slope bound"),
-            at_vertices: Check::new("vertices within 1/128 m of f64"),
-            between_vertices: Check::new("points between vertices within 1/128 m of f64"),
-            open_sea: Check::new("open sea exactly flat"),
-            direct_steps: Check::new("steps of one unit without a spline within the slope bound"),
-            direct_heights: Check::new("points without a spline within 1/128 m of f64"),
-        }
-    }
-
-    fn into_checks(self) -> Vec<Check> {
-        vec![
-            self.unit_steps,
-            self.vertex_steps,
-            self.at_vertices,
-            self.between_vertices,
-            self.open_sea,
-            self.direct_steps,
-            self.direct_heights,
-        ]
-    }
-
     fn run(&mut self, seed: u64, height: &dyn Fn(i32, i32, Octaves) -> f64) {
         let (archipelago, stream) = (self.world.archipelago, (seed ^ (seed >> 32)) as u32);
-        for walk in samples::lines().iter().flat_map(|line| line.walks(&archipelago, stream)) {
-            self.walk(walk, height);
-        }
-        for walk in samples::corner_walks(CORNER_STEPS) {
-            self.walk(walk, height);
-        }
-        for walk in edges::walks(seed).into_iter().chain(thresholds::walks(seed)) {
+        let lines = samples::lines();
+        let lines = lines.iter().flat_map(|line| line.walks(&archipelago, stream));
+        let others = edges::walks(seed).into_iter().chain(thresholds::walks(seed));
+        for walk in lines.chain(samples::corner_walks(CORNER_STEPS)).chain(others) {
             self.walk(walk, height);
         }
         for from in sample::land_vertices(seed, 2_000, 31).filter(|(x, _)| *x < WORLD_HALF) {
@@ -103,45 +68,31 @@ impl Sweep {
     }
 
     fn walk(&mut self, walk: Walk, height: &dyn Fn(i32, i32, Octaves) -> f64) {
-        self.walk_keeping(walk, Octaves::ALL, Kind::Splined, height);
+        self.walk_keeping(walk, Octaves::ALL, height);
         if walk.step == 1 {
-            self.walk_keeping(walk, Octaves::at_level(DIRECT_LEVEL), Kind::Direct, height);
+            self.walk_keeping(walk, Octaves::at_level(DIRECT_LEVEL), height);
         }
     }
 
-    fn walk_keeping(
-        &mut self,
-        walk: Walk,
-        octaves: Octaves,
-        kind: Kind,
-        height: &dyn Fn(i32, i32, Octaves) -> f64,
-    ) {
+    fn walk_keeping(&mut self, walk: Walk, octaves: Octaves, height: &dyn Fn(i32, i32, Octaves) -> f64) {
         let mut before: Option<((i32, i32), f64, Local)> = None;
         for (x, z) in walk.points() {
             let got = height(x, z, octaves);
             let near = height_near(&self.world, (x, z), walk.axis, walk.step, octaves);
             let is_vertex = x % VERTEX_STEP == 0 && z % VERTEX_STEP == 0;
-            let check = match kind {
-                Kind::Direct => &mut self.direct_heights,
-                Kind::Splined if is_vertex => &mut self.at_vertices,
-                Kind::Splined => &mut self.between_vertices,
-            };
             let exact = near.value * f64::from(UNITS_PER_METRE);
-            check.expect_within((got - exact).abs(), HEIGHT_ERROR, format_args!("({x}, {z})"));
+            let check = if !octaves.splined() { 6 } else { 3 - usize::from(is_vertex) };
+            self.checks[check].expect_within((got - exact).abs(), HEIGHT_ERROR, format_args!("({x}, {z})"));
             if let Some((from, low, lower)) = before {
                 let place = format_args!("({}, {}) to ({x}, {z})", from.0, from.1);
                 let (rise, slope) = ((got - low).abs(), lower.slope.max(near.slope));
-                if slope == 0.0 {
-                    self.open_sea.expect_within(rise, 0.0, place);
-                } else {
-                    let check = match kind {
-                        Kind::Direct => &mut self.direct_steps,
-                        Kind::Splined if walk.step == 1 => &mut self.unit_steps,
-                        Kind::Splined => &mut self.vertex_steps,
-                    };
-                    let allowed = slope * f64::from(walk.step) + 2.0 * HEIGHT_ERROR;
-                    check.expect_within(rise, allowed, place);
-                }
+                let allowed = slope * f64::from(walk.step) + 2.0 * HEIGHT_ERROR;
+                let (check, allowed) = match slope == 0.0 {
+                    true => (4, 0.0),
+                    false if !octaves.splined() => (5, allowed),
+                    false => (usize::from(walk.step != 1), allowed),
+                };
+                self.checks[check].expect_within(rise, allowed, place);
             }
             before = Some(((x, z), got, near));
         }

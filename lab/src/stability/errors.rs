@@ -133,54 +133,42 @@ fn of_level(level: u8, chunks: u32, divisor: u32) -> (Check, ErrorRow) {
 fn look(land: &Land, level: u8, (x, z): (i32, i32), number: u32) -> Seen {
     let key = ChunkKey::containing(level, x, z);
     let chunk = land.chunk(key);
-    let (west, north) = key.origin();
-    let side = (CELLS as u32) << level;
-    let mut heights = [0; SIDE * SIDE];
-    let mut seen = 0.0_f64;
-    for square in 0..SQUARES {
-        let corner = [0, 1].map(|axis| {
-            let word = word(STREAM + 64 + u32::from(level), 2 * (number * SQUARES + square) + axis);
-            word % (side + 1 - SIDE as u32)
-        });
-        let units = |low: i32, index: u32| low.wrapping_add_unsigned(index << SPACING_BITS);
-        let grid = Grid::new(units(west, corner[0]), units(north, corner[1]), 0, SIDE, SIDE)
-            .expect("the square lies in the chunk");
-        land.heights(&grid, &mut heights);
-        for (index, height) in heights.iter().enumerate() {
-            let place = (corner[0] as usize + index % SIDE, corner[1] as usize + index / SIDE);
-            seen = seen.max(apart(&chunk.heights, level, place, *height));
-        }
-    }
+    let free = ((CELLS as u32) << level) + 1 - SIDE as u32;
+    let corner = |square: u32| {
+        let at = |axis| word(STREAM + 64 + u32::from(level), 2 * (number * SQUARES + square) + axis) % free;
+        [at(0), at(1)]
+    };
+    let squares = (0..SQUARES).map(|square| farthest(land, key, &chunk.heights, corner(square), SIDE));
+    let seen = squares.fold(0.0, f64::max);
     Seen { seed: land.world_seed(), key, stated: f64::from(chunk.error), seen }
 }
 
 /// The largest distance in a chunk, units: every vertex of level 0 under it, in the squares of its
 /// chunks of level 0.
 fn look_everywhere(land: &Land, key: ChunkKey) -> f64 {
-    let (level, drawn) = (key.level(), land.chunk_heights(key));
-    let squares = 1u32 << level;
+    let (squares, drawn) = (1u32 << key.level(), land.chunk_heights(key));
     let of_square = |square: u32| {
         let corner = [square % squares, square / squares].map(|index| index * CELLS as u32);
-        let units = |low: i32, index: u32| low.wrapping_add_unsigned(index << SPACING_BITS);
-        let (west, north) = key.origin();
-        let grid = Grid::new(units(west, corner[0]), units(north, corner[1]), 0, VERTICES, VERTICES)
-            .expect("the square lies in the chunk");
-        let mut heights = [0; VERTEX_COUNT];
-        land.heights(&grid, &mut heights);
-        let distance = |(index, height): (usize, &i32)| {
-            let place = (corner[0] as usize + index % VERTICES, corner[1] as usize + index / VERTICES);
-            apart(&drawn, level, place, *height)
-        };
-        heights.iter().enumerate().map(distance).fold(0.0, f64::max)
+        farthest(land, key, &drawn, corner, VERTICES)
     };
     (0..squares * squares).into_par_iter().map(of_square).reduce(|| 0.0, f64::max)
 }
 
-/// The distance of a height (units) at a column and row of level-0 vertices from a chunk's
-/// triangles.
-fn apart(heights: &[i32; VERTEX_COUNT], level: u8, (column, row): (usize, usize), height: i32) -> f64 {
-    let drawn = drawn_height_scaled(heights, column, row, level) as f64 / f64::from(1u32 << level);
-    (drawn - f64::from(height)).abs()
+/// The largest distance of the heights (units) of a square of level-0 vertices, so many along a side
+/// from a corner of a chunk on, from the chunk's triangles.
+fn farthest(land: &Land, key: ChunkKey, drawn: &[i32; VERTEX_COUNT], corner: [u32; 2], side: usize) -> f64 {
+    let units = |low: i32, index: u32| low.wrapping_add_unsigned(index << SPACING_BITS);
+    let ((west, north), level) = (key.origin(), key.level());
+    let grid = Grid::new(units(west, corner[0]), units(north, corner[1]), 0, side, side)
+        .expect("the square lies in the chunk");
+    let mut heights = vec![0; side * side];
+    land.heights(&grid, &mut heights);
+    let apart = |(index, height): (usize, &i32)| {
+        let (column, row) = (corner[0] as usize + index % side, corner[1] as usize + index / side);
+        let drawn = drawn_height_scaled(drawn, column, row, level) as f64 / f64::from(1u32 << level);
+        (drawn - f64::from(*height)).abs()
+    };
+    heights.iter().enumerate().map(apart).fold(0.0, f64::max)
 }
 
 #[cfg(test)]

@@ -39,88 +39,40 @@ impl Report {
 
 impl fmt::Display for Report {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        writeln!(
-            f,
-            "{:<66} {:>10} {:>8} {:>8}",
-            format!("property ({} worlds)", self.worlds),
-            "cases",
-            "violated",
-            "worst"
-        )?;
-        for check in &self.checks {
-            write_row(f, check)?;
-        }
-        writeln!(
-            f,
-            "\n{:<66} {:>10} {:>8} {:>8}",
-            "control, must be violated", "cases", "violated", "worst"
-        )?;
-        for control in &self.controls {
-            write_row(f, control)?;
-        }
+        write_rows(f, &format!("property ({} worlds)", self.worlds), &self.checks)?;
+        writeln!(f)?;
+        write_rows(f, "control, must be violated", &self.controls)?;
         writeln!(f, "worst: largest share of what is allowed; where nothing is allowed, units\n")?;
-        writeln!(
-            f,
-            "{:<24} {:>8} {:>10} {:>9} {:>8} {:>7} {:>17}",
-            "error of a chunk, level",
-            "chunks",
-            "vertices",
-            "stated, m",
-            "seen, m",
-            "ratio",
-            "median of chunks"
-        )?;
+        write!(f, "{:<24} {:>8} {:>10} ", "error of a chunk, level", "chunks", "vertices")?;
+        writeln!(f, "{:>9} {:>8} {:>7} {:>17}", "stated, m", "seen, m", "ratio", "median of chunks")?;
         for row in &self.errors {
+            let ErrorRow { level, chunks, vertices, stated_m, seen_m, .. } = row;
             let median = row.median_ratio.map_or_else(|| "-".into(), |ratio| format!("{ratio:.2}"));
-            writeln!(
-                f,
-                "{:<24} {:>8} {:>10} {:>9.2} {:>8.2} {:>7.2} {:>17}",
-                row.level,
-                row.chunks,
-                row.vertices,
-                row.stated_m,
-                row.seen_m,
-                row.stated_m / row.seen_m,
-                median,
-            )?;
+            let ratio = stated_m / seen_m;
+            write!(f, "{level:<24} {chunks:>8} {vertices:>10} {stated_m:>9.2} {seen_m:>8.2} ")?;
+            writeln!(f, "{ratio:>7.2} {median:>17}")?;
         }
         writeln!(f, "stated, seen: the largest of all chunks\n")?;
-        writeln!(
-            f,
-            "{:<40} {:>10} {:>9} {:>6} {:>10} {:>10} {:>6} {:>8}",
-            "64 samples, 1/256 m apart",
-            "at, m",
-            "distinct",
-            "least",
-            "jump, mm",
-            "x bound",
-            "stuck",
-            "repeats"
-        )?;
+        write!(f, "{:<40} {:>10} {:>9} {:>6} ", "64 samples, 1/256 m apart", "at, m", "distinct", "least")?;
+        writeln!(f, "{:>10} {:>10} {:>6} {:>8}", "jump, mm", "x bound", "stuck", "repeats")?;
         for row in &self.floats {
-            writeln!(
-                f,
-                "{:<40} {:>10} {:>9.1} {:>6} {:>10.2} {:>10.2} {:>5.0}% {:>8}",
-                row.field,
-                row.distance_m,
-                row.distinct_mean,
-                row.distinct_least,
-                row.largest_jump_m * 1000.0,
-                row.jump_over_bound,
-                row.stuck * 100.0,
-                if row.repeats { "yes" } else { "no" },
-            )?;
+            let FloatRow { field, distance_m, distinct_mean, distinct_least, .. } = row;
+            let (jump_mm, stuck) = (row.largest_jump_m * 1000.0, row.stuck * 100.0);
+            let repeats = if row.repeats { "yes" } else { "no" };
+            write!(f, "{field:<40} {distance_m:>10} {distinct_mean:>9.1} {distinct_least:>6} ")?;
+            writeln!(f, "{jump_mm:>10.2} {:>10.2} {stuck:>5.0}% {repeats:>8}", row.jump_over_bound)?;
         }
         Ok(())
     }
 }
 
-fn write_row(f: &mut fmt::Formatter<'_>, check: &Check) -> fmt::Result {
-    writeln!(f, "{:<66} {:>10} {:>8} {:>8.2}", check.name, check.cases, check.violations, check.worst)?;
-    match &check.first {
-        Some(first) => writeln!(f, "    first: {first}; worst at {}", check.worst_at),
-        None => Ok(()),
+fn write_rows(f: &mut fmt::Formatter<'_>, what: &str, checks: &[Check]) -> fmt::Result {
+    writeln!(f, "{what:<66} {:>10} {:>8} {:>8}", "cases", "violated", "worst")?;
+    for Check { name, cases, violations, worst, worst_at, first } in checks {
+        writeln!(f, "{name:<66} {cases:>10} {violations:>8} {worst:>8.2}")?;
+        first.iter().try_for_each(|first| writeln!(f, "    first: {first}; worst at {worst_at}"))?;
     }
+    Ok(())
 }
 
 #[cfg(test)]

@@ -27,23 +27,25 @@ const PLACES: [(i32, i32); 13] = [
 /// Further places inside islands.
 const LAND_PLACES: u32 = 12;
 
+/// What is checked.
+const NAMES: [&str; 5] = [
+    "seams to the east equal at every level",
+    "seams to the south equal at every level",
+    "chunks equal single heights with the same octaves",
+    "chunks equal grids of other shapes over the same vertices",
+    "finer grids that keep the same octaves equal on shared vertices",
+];
+
 /// Checks all seams of a world.
 pub fn check(land: &Land) -> Vec<Check> {
-    let mut seams = Seams {
-        land,
-        east: Check::new("seams to the east equal at every level"),
-        south: Check::new("seams to the south equal at every level"),
-        points: Check::new("chunks equal single heights with the same octaves"),
-        grids: Check::new("chunks equal grids of other shapes over the same vertices"),
-        finer: Check::new("finer grids that keep the same octaves equal on shared vertices"),
-    };
+    let mut seams = Seams { land, checks: NAMES.map(Check::new) };
     let places = PLACES.into_iter().chain(sample::land_vertices(land.world_seed(), LAND_PLACES, 5));
     for (x, z) in places {
         for level in 0..=TOP_LEVEL {
             seams.check_chunk(ChunkKey::containing(level, x, z));
         }
     }
-    vec![seams.east, seams.south, seams.points, seams.grids, seams.finer]
+    seams.checks.into()
 }
 
 /// The seam between two different worlds: must be caught.
@@ -59,27 +61,21 @@ pub fn control() -> Check {
 
 struct Seams<'a> {
     land: &'a Land,
-    east: Check,
-    south: Check,
-    points: Check,
-    grids: Check,
-    finer: Check,
+    /// By [`NAMES`].
+    checks: [Check; NAMES.len()],
 }
 
 impl Seams<'_> {
     fn check_chunk(&mut self, key: ChunkKey) {
         let heights = self.land.chunk_heights(key);
         let at = |column: usize, row: usize| i64::from(heights[row * VERTICES + column]);
-        if let Ok(neighbour) = ChunkKey::new(key.level(), key.x() + 1, key.z()) {
-            let other = self.land.chunk_heights(neighbour);
-            for row in 0..VERTICES {
-                self.east.expect_equal(i64::from(other[row * VERTICES]), at(CELLS, row), key);
-            }
-        }
-        if let Ok(neighbour) = ChunkKey::new(key.level(), key.x(), key.z() + 1) {
-            let other = self.land.chunk_heights(neighbour);
-            for (column, height) in other[..VERTICES].iter().enumerate() {
-                self.south.expect_equal(i64::from(*height), at(column, CELLS), key);
+        for (axis, (east, south)) in [(1, 0), (0, 1)].into_iter().enumerate() {
+            let Ok(beside) = ChunkKey::new(key.level(), key.x() + east, key.z() + south) else { continue };
+            let other = self.land.chunk_heights(beside);
+            for along in 0..VERTICES {
+                let (its, own) =
+                    [(other[along * VERTICES], at(CELLS, along)), (other[along], at(along, CELLS))][axis];
+                self.checks[axis].expect_equal(i64::from(its), own, key);
             }
         }
         self.compare_with_points(key, &at);
@@ -93,11 +89,8 @@ impl Seams<'_> {
             let (column, row) = (index % VERTICES, index / VERTICES);
             let (x, z) = vertex(key, column, row);
             let position = Position::new(x, z).expect("a chunk lies in the world");
-            self.points.expect_equal(
-                at(column, row),
-                self.land.height_keeping(position, octaves).into(),
-                key,
-            );
+            let height = self.land.height_keeping(position, octaves);
+            self.checks[2].expect_equal(at(column, row), height.into(), key);
         }
     }
 
@@ -112,7 +105,7 @@ impl Seams<'_> {
             let heights = self.heights(grid);
             for (index, height) in heights.into_iter().enumerate() {
                 let (c, r) = (index % columns, index / columns);
-                self.grids.expect_equal(height.into(), at(column + c, row + r), key);
+                self.checks[3].expect_equal(height.into(), at(column + c, row + r), key);
             }
         }
         if let Some(finer) = key.level().checked_sub(1) {
@@ -123,7 +116,7 @@ impl Seams<'_> {
             for (index, height) in self.heights(grid).into_iter().enumerate() {
                 let (column, row) = (index % grid.columns(), index / grid.columns());
                 if column % 2 == 0 && row % 2 == 0 {
-                    self.finer.expect_equal(height.into(), at(column / 2, 1 + row / 2), key);
+                    self.checks[4].expect_equal(height.into(), at(column / 2, 1 + row / 2), key);
                 }
             }
         }

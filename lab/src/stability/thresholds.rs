@@ -17,22 +17,8 @@ const ROWS: u32 = 400;
 const LENGTH: i32 = 8;
 const APART: i32 = VERTEX_STEP << 8;
 
-/// Names of the thresholds, for tests.
-const NAMES: [&str; 13] = [
-    "rim of a lobe",
-    "rim of the mass",
-    "end of the rim",
-    "middle of the mass",
-    "water line of the shore",
-    "shelf",
-    "plain",
-    "reach of the last octave at sea",
-    "foot of mountains",
-    "end of calm",
-    "beaches only",
-    "cliffs only",
-    "sea level",
-];
+/// Number of thresholds; tests name them.
+const COUNT: usize = 13;
 
 /// What decides on which side of each threshold a place lies.
 struct Sides {
@@ -56,7 +42,7 @@ fn found(world_seed: u64) -> Vec<(usize, Walk)> {
         let row = (0..=LENGTH).map(|n| x.saturating_add((n - LENGTH / 2) * APART));
         let row: Vec<i32> = row.filter(|x| (-WORLD_HALF..=WORLD_HALF).contains(x)).collect();
         let on_row: Vec<_> = row.iter().map(|x| sides.of((*x, z), lobe)).collect();
-        for threshold in 0..NAMES.len() {
+        for threshold in 0..COUNT {
             let side = |n: usize| on_row.get(n).is_some_and(|sides| sides[threshold]);
             let Some(n) = (1..row.len()).find(|n| side(n - 1) != side(*n)) else { continue };
             let (mut low, mut high) = (row[n - 1], row[n]);
@@ -72,7 +58,7 @@ fn found(world_seed: u64) -> Vec<(usize, Walk)> {
 }
 
 impl Sides {
-    fn of(&self, (x, z): (i32, i32), lobe: &Lobe) -> [bool; NAMES.len()] {
+    fn of(&self, (x, z): (i32, i32), lobe: &Lobe) -> [bool; COUNT] {
         let in_lobe = Mass::at(&[*lobe], (x, z), self.base.warp(x, z)).mass > 0;
         let (node, stages) = self.reference.node(x, z, Octaves::ALL);
         let shore = stages.shore;
@@ -97,6 +83,22 @@ impl Sides {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    const NAMES: [&str; COUNT] = [
+        "rim of a lobe",
+        "rim of the mass",
+        "end of the rim",
+        "middle of the mass",
+        "water line of the shore",
+        "shelf",
+        "plain",
+        "reach of the last octave at sea",
+        "foot of mountains",
+        "end of calm",
+        "beaches only",
+        "cliffs only",
+        "sea level",
+    ];
 
     #[test]
     fn every_threshold_is_found() {

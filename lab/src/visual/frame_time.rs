@@ -2,11 +2,10 @@
 //! on, over frames with what the viewer drew before it had this look.
 
 use crate::headless_renderer::HeadlessRenderer;
-use crate::lod::screen;
+use crate::lod::screen::{self, ViewCase};
 use crate::stats::{interleaved, quantiles, ratios};
 use crate::world_builder::WorldBuilder;
 use clap::Parser as _;
-use client::camera::Projection;
 use client::features::vegetation::{PlantShadows, VegetationSettings};
 use client::frame::FrameData;
 use client::gpu::GpuError;
@@ -101,14 +100,9 @@ fn earlier(grass: u32, trees: u32) -> (Preset, RenderSettings) {
 }
 
 fn alternative(land: Land, preset: &Preset, settings: RenderSettings) -> Result<Alternative, GpuError> {
-    let view = ViewParams {
-        pose: Scene::Island.start_in(&land),
-        projection: Projection { fov_deg: 60.0, width: SIZE.0, height: SIZE.1 },
-        view_distance_m: preset.view_distance_m,
-        tolerance_px: preset.tolerance_px,
-        time_s: 0.0,
-        settings,
-    };
+    let case = ViewCase { pose: Scene::Island.start_in(&land), tolerance_px: preset.tolerance_px };
+    let view_distance_m = preset.view_distance_m;
+    let view = ViewParams { view_distance_m, ..case.shot_of(SIZE, settings) };
     let mut renderer = HeadlessRenderer::open(SIZE, SLOTS)?;
     let (world, selection) = screen::selected(&mut WorldBuilder::new(land), &view);
     renderer.upload_world(&world);

@@ -3,11 +3,11 @@
 use super::views::MORNING;
 use crate::flip::{self, PIXELS_PER_DEGREE};
 use crate::headless_renderer::HeadlessRenderer;
-use crate::lod::screen;
+use crate::lod::screen::{self, ViewCase};
 use crate::sample::{self, unit, word};
 use crate::supersampled::{self, averaged};
 use crate::world_builder::WorldBuilder;
-use client::camera::{Pose, Projection};
+use client::camera::Pose;
 use client::features::vegetation::{PlantShadows, VegetationSettings};
 use client::frame::FrameData;
 use client::gpu::{GpuError, Image};
@@ -146,14 +146,8 @@ fn settings() -> RenderSettings {
 }
 
 fn shot(pose: Pose) -> ViewParams {
-    ViewParams {
-        pose,
-        projection: Projection { fov_deg: 60.0, width: SIZE.0, height: SIZE.1 },
-        view_distance_m: VIEW_DISTANCE_M,
-        tolerance_px: 2.0,
-        time_s: 0.0,
-        settings: settings(),
-    }
+    let shot = ViewCase { pose, tolerance_px: 2.0 }.shot_of(SIZE, settings());
+    ViewParams { view_distance_m: VIEW_DISTANCE_M, ..shot }
 }
 
 /// Seeded eyes a little above the land.

@@ -114,9 +114,11 @@ fn measure_eye(
     };
     let viewer = view(eye, FIELDS_OF_VIEW[1].0, FIELDS_OF_VIEW[1].1).viewer();
     let mut world = ChunkCache::new(renderer.slots());
-    for needed in lod::select(land, &viewer, usize::MAX) {
+    world.set_vertical_scale((scale * 256.0) as i32);
+    let served = vertical_scale::served(&viewer, world.vertical_scale());
+    for needed in lod::select(land, &served, usize::MAX) {
         let chunk = generated.entry(needed.key).or_insert_with(|| land.chunk(needed.key));
-        world.insert(vertical_scale::scaled(chunk.clone(), (scale * 256.0) as i32));
+        world.insert(chunk.clone());
     }
     let selection = select(&mut world, &viewer);
     renderer.upload_world(&world);

@@ -3,12 +3,10 @@
 use crate::headless_renderer::HeadlessRenderer;
 use crate::lod::screen::{self, ViewCase};
 use crate::world_builder::WorldBuilder;
-use client::camera::Projection;
 use client::frame::{Background, FrameData};
 use client::gpu::{GpuError, Image};
 use client::scene::Scene;
 use client::settings::{Normals, RenderSettings, Show, SunPosition};
-use client::view::ViewParams;
 use terrain::Land;
 
 /// Picture size, pixels.
@@ -17,8 +15,7 @@ pub const SIZE: (u32, u32) = (480, 270);
 /// Stream of the seeded poses.
 const STREAM: u32 = 57;
 
-/// View distance, metres, and tolerance, pixels, unless a figure varies it.
-const VIEW_DISTANCE_M: u32 = 8_000;
+/// Tolerance, pixels, unless a figure varies it.
 const TOLERANCE_PX: f64 = 2.0;
 
 /// Slots of the largest view.
@@ -100,20 +97,9 @@ impl Views {
     }
 
     fn frame(&mut self, case: &ViewCase, shot: Shot) -> FrameData {
-        let view = ViewParams {
-            pose: case.pose,
-            projection: Projection { fov_deg: 60.0, width: SIZE.0, height: SIZE.1 },
-            view_distance_m: VIEW_DISTANCE_M,
-            tolerance_px: shot.tolerance_px,
-            time_s: 0.0,
-            settings: RenderSettings {
-                show: shot.show,
-                normals: shot.normals,
-                sun: Some(shot.sun),
-                shadows: shot.shadows,
-                ..RenderSettings::default()
-            },
-        };
+        let Shot { show, normals, tolerance_px, sun, shadows } = shot;
+        let settings = RenderSettings { show, normals, sun: Some(sun), shadows, ..RenderSettings::default() };
+        let view = ViewCase { tolerance_px, ..*case }.shot_of(SIZE, settings);
         let (world, selection) = screen::selected(&mut self.builder, &view);
         self.builder.clear();
         self.renderer.upload_world(&world);

@@ -263,6 +263,21 @@ mod tests {
     }
 
     #[test]
+    fn a_content_size_has_one_two_four_or_eight_bytes() {
+        // RFC 8878, section 3.1.1.1; behind each the last block, raw and empty.
+        let headers: [(&[u8], u64); 4] = [
+            (&[0x20, 7], 7),
+            (&[0x60, 7, 1], 0x0107 + 256),
+            (&[0xa0, 1, 2, 3, 4], 0x0403_0201),
+            (&[0xe0, 1, 2, 3, 4, 5, 6, 7, 8], 0x0807_0605_0403_0201),
+        ];
+        for (header, size) in headers {
+            let frame = [&MAGIC[..], header, &[1, 0, 0]].concat();
+            assert_eq!(stated_size(&frame), Some(size), "{header:x?}");
+        }
+    }
+
+    #[test]
     fn only_the_plainest_sort_of_frame_of_the_right_size_is_read() {
         let content = content(1, 3000, 3);
         let good = frame(&content, Effort::Compact).unwrap();
@@ -294,8 +309,27 @@ mod tests {
         // Noise with few values, and a speck in each row.
         let noise = content(7, 4225, 0x0f);
         let specks: Vec<_> = (0..4225).map(|index| u8::from(index % 65 == 0)).collect();
+        assert_eq!(frame(&noise, Effort::Fast), None, "literals are not coded");
+        let fast = frame(&specks, Effort::Fast).unwrap().len();
         let [noise, specks] = [noise, specks].map(|content| frame(&content, Effort::Compact).unwrap().len());
         assert!((2100..2300).contains(&noise), "half a byte each: {noise}");
         assert!(specks < 100, "single bytes of one bit each would be 529: {specks}");
+        assert!(fast > 2 * specks, "one search only: {fast}");
+        // Noise that no literals can code is not searched.
+        assert_eq!(frame(&content(3, 500, 0xff).repeat(2), Effort::Compact), None);
+    }
+
+    #[test]
+    fn what_is_in_front_of_a_frame_does_not_change_it() {
+        let specks: Vec<_> = (0..4225).map(|index| u8::from(index % 65 == 0)).collect();
+        // Shorter by coded literals alone than with matches.
+        let sparse: Vec<_> = (0..4225).map(|index| u8::from(mix(index) % 256 < 30)).collect();
+        for content in [content(7, 4225, 0x0f), specks, sparse] {
+            for effort in [Effort::Fast, Effort::Compact] {
+                let mut out = vec![9; 4000];
+                let is_compressed = compress(&content, effort, &mut out);
+                assert_eq!(frame(&content, effort), is_compressed.then(|| out[4000..].to_vec()));
+            }
+        }
     }
 }

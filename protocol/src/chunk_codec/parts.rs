@@ -262,8 +262,36 @@ mod tests {
             assert!(bits >= width && layout.field <= 8 && layout.whole < MAX_PLANES, "{width}: {layout:?}");
             assert!(width - 8 * layout.whole as u32 > layout.field / 2, "{width}: {layout:?}");
         }
+        assert_eq!(Layout::of_width(0), Some(Layout { whole: 0, field: 0 }));
         assert_eq!(Layout::of_width(MAX_RESIDUAL_BITS + 1), None);
         assert_eq!(Layout::of_width(u32::MAX), None);
+    }
+
+    #[test]
+    fn plain_bits_grow_with_the_mean_and_are_fewer_than_the_width() {
+        for effort in [Effort::Fast, Effort::Compact] {
+            let bits = |residual: u32, count, width| plain_bits(&vec![residual; count], width, effort);
+            let growing: Vec<_> = (0..20).map(|n| bits((1 << n) - 1, 70, MAX_RESIDUAL_BITS)).collect();
+            assert!(growing.is_sorted() && growing[0] == 0 && growing[19] == 8, "{growing:?}");
+            for residual in [1, 4, 10, 30, 400] {
+                let of = |count| bits(residual, count, MAX_RESIDUAL_BITS);
+                assert_eq!(of(1), of(700), "the mean of equal residuals of {residual}");
+            }
+            assert!((1..=MAX_RESIDUAL_BITS).all(|width| bits(1 << 20, 70, width) < width));
+        }
+    }
+
+    #[test]
+    fn a_width_without_a_bit_above_the_plain_ones_is_rejected() {
+        let (count, mut scratch) = (8, Scratch::new());
+        let fault = Err(ChunkError::Content("no residual has so many plain bits"));
+        for (plain, width) in [(1_u8, 1), (2, 2), (4, 4), (8, 8), (8, 7), (3, 5), (255, 27)] {
+            // The plain bits, and an empty part above them.
+            let low = vec![0; packed_bytes(count, u32::from(plain))];
+            let payload = [vec![plain], low, vec![0; 2]].concat();
+            let taken = scratch.take(Kernel::PORTABLE, width, count, &mut &payload[..]).map(|_| ());
+            assert_eq!(taken, fault, "{plain} of {width} bits");
+        }
     }
 
     #[test]

@@ -84,6 +84,9 @@ fn quantised_heights_and_errors_stay_within_the_tolerance() {
             assert!(moved <= u32::from(tolerance.units()), "{level}: {moved} for {tolerance:?}");
             assert_eq!(got.error, chunk.error + moved);
             assert_eq!((&got.grass, error(&frame)), (&chunk.grass, Some(got.error)));
+            let mut heights = Box::new([0; VERTEX_COUNT]);
+            assert_eq!(heights_on(Kernel::best(), &frame, &mut heights), Ok(()));
+            assert_eq!(heights, got.heights);
             assert!(frame.len() <= shorter.saturating_add(8), "{level}: {} after {shorter}", frame.len());
             shorter = frame.len();
             // A finer tolerance and exact delivery reject the frame, a coarser tolerance accepts
@@ -182,8 +185,12 @@ fn every_truncation_and_extension_is_rejected() {
             assert!(matches!(cut, Err(ChunkError::Truncated { .. })), "{length}: {cut:?}");
             assert_eq!(error(&frame[..length]), None);
         }
-        assert_eq!(decode(&[&frame[..], &[0]].concat()), Err(ChunkError::Trailing(1)));
+        for extra in [1, 2] {
+            let longer = [&frame[..], &vec![0; extra]].concat();
+            assert_eq!(decode(&longer), Err(ChunkError::Trailing(extra)));
+        }
         assert!(matches!(decode(&vec![0; MAX_CHUNK_FRAME + 1]), Err(ChunkError::TooLong(_))));
+        assert_eq!(decode(&vec![0; MAX_CHUNK_FRAME]), Err(ChunkError::BadMagic));
     }
 }
 
@@ -217,9 +224,11 @@ fn a_frame_is_verified_without_decoding_by_kind_length_and_digest() {
     }
     let seed = encode_for(Delivery::SeedOnly, &chunk, &world);
     assert_eq!(verify(&seed, &world), Err(ChunkError::UnknownKind(KIND_SEED_ONLY)));
-    let mut coarse = encode_for(Delivery::Quantised(Tolerance::FINEST), &chunk, &world).to_vec();
-    coarse[38] = 3;
-    assert!(matches!(verify(&signed(coarse, &world), &world), Err(ChunkError::Content(_))));
+    for delivery in [Delivery::Exact, Delivery::Quantised(Tolerance::FINEST)] {
+        let mut lie = encode_for(delivery, &chunk, &world).to_vec();
+        lie[38] = 3;
+        assert!(matches!(verify(&signed(lie, &world), &world), Err(ChunkError::Content(_))), "{delivery}");
+    }
 }
 
 #[test]
@@ -394,6 +403,11 @@ fn wrong_header_fields_with_valid_digests_are_rejected() {
         assert!(changed(37, by).is_err(), "grass mode changed by {by}");
         assert!(changed(38, by).is_err() && changed(39, by).is_err(), "tolerance changed by {by}");
     }
+    // Rounding changes nothing about the sea.
+    let mut sea = encode(&SEA.0, &world).to_vec();
+    sea[38] = 16;
+    let fault = decode(&signed(sea, &world), &world);
+    assert_eq!(fault, Err(ChunkError::Content("an exact frame states a tolerance")));
     for palette in PALETTES..=u8::MAX {
         let mut payload = frame[CHUNK_HEADER..].to_vec();
         payload[4] = palette;
@@ -406,6 +420,30 @@ fn wrong_header_fields_with_valid_digests_are_rejected() {
         lie[38..40].copy_from_slice(&tolerance.to_le_bytes());
         let fault = quantised::decode(&signed(lie, &world), &world, Tolerance::COARSEST);
         assert!(matches!(fault, Err(ChunkError::Content(_))), "{tolerance}: {fault:?}");
+    }
+}
+
+#[test]
+fn heights_beyond_either_limit_are_rejected_with_valid_digests() {
+    let (chunk, world) = sample(0, 3, -7);
+    let fault = ChunkError::Content("a height is out of range");
+    let with = |key, heights| Chunk::from_parts(key, heights, 0, chunk.grass.clone());
+    for inside in [1 - HEIGHT_LIMIT, HEIGHT_LIMIT - 1] {
+        let flat = with(chunk.key, Box::new([inside; VERTEX_COUNT]));
+        assert_eq!(decode(&encode(&flat, &world), &world), Ok(flat));
+    }
+    let parent = with(chunk.key.parent().unwrap(), Box::new([0; VERTEX_COUNT]));
+    for outside in [-HEIGHT_LIMIT, HEIGHT_LIMIT] {
+        let flat = with(chunk.key, Box::new([outside; VERTEX_COUNT]));
+        assert_eq!(decode(&encode(&flat, &world), &world), Err(fault.clone()), "{outside}");
+        for count in [1, 2] {
+            // In odd columns, which the parent lacks.
+            let mut heights = Box::new([0; VERTEX_COUNT]);
+            (0..count).for_each(|n| heights[2 * n + 1] = outside);
+            let spiky = with(chunk.key, heights);
+            let frame = refined::encode(&spiky, &parent, &world, Effort::Compact).unwrap();
+            assert_eq!(refined::decode(&frame, &world, &parent), Err(fault.clone()), "{count} of {outside}");
+        }
     }
 }
 

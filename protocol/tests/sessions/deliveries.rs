@@ -1,8 +1,9 @@
 //! Deliveries: exact, seed-only, quantised.
 
-use crate::pair::{Pair, config, offer, seed_only, view, welcome_frame};
+use crate::pair::{Pair, config, next_request, offer, seed_only, send, view, welcome_frame, wire_keys};
 use protocol::client::{ClientConfig, ClientSession, Event};
-use protocol::server::ServerOffer;
+use protocol::message::ClientMessage;
+use protocol::server::{ServerOffer, ServerSession};
 use protocol::{ChunkError, CloseCode, DataFrame, Delivery, PeerFault, Tolerance, chunk_codec, limits};
 use terrain::{Chunk, ChunkKey, Land};
 
@@ -12,6 +13,7 @@ fn received(config: ClientConfig) -> (Vec<Chunk>, usize) {
     let mut pair = Pair::with(config);
     pair.client.set_view(view(1, 1000));
     pair.run(usize::MAX);
+    assert_eq!(pair.server.delivery(), delivery);
     let mut total = 0;
     let mut chunks = Vec::new();
     for event in pair.events {
@@ -37,6 +39,17 @@ fn seed_only_and_exact_delivery_yield_equal_chunks() {
     // Control: another world's chunks are not equal.
     let other = Land::new(2);
     assert!(seed.iter().any(|chunk| *chunk != other.chunk(chunk.key)));
+}
+
+#[test]
+fn a_chunk_without_heights_reserves_no_more_bytes_than_its_frame() {
+    let (mut server, mut client) = (ServerSession::new(offer(), 1), ClientSession::new(seed_only(64)));
+    while let Some(frame) = client.poll_transmit() {
+        server.receive(DataFrame::Binary(&frame)).unwrap();
+    }
+    send(&mut server, &ClientMessage::Request { id: 1, keys: wire_keys(5) });
+    send(&mut server, &ClientMessage::CreditBytes { bytes: 3 * limits::SEED_ONLY_FRAME as u32 });
+    assert_eq!(std::iter::from_fn(|| next_request(&mut server)).count(), 3);
 }
 
 /// The result of one chunk frame at a welcomed client.

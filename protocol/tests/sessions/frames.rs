@@ -5,7 +5,7 @@ use proptest::prelude::*;
 use protocol::client::ClientSession;
 use protocol::message::{ClientMessage, Hello, WireKey};
 use protocol::server::ServerSession;
-use protocol::{ControlError, DataFrame, Delivery, control, limits};
+use protocol::{ControlError, DataFrame, Delivery, Tolerance, control, limits};
 
 #[test]
 fn truncated_and_overlong_control_frames_are_rejected() {
@@ -29,10 +29,34 @@ fn truncated_and_overlong_control_frames_are_rejected() {
         let frame = control::encode(&message).unwrap();
         assert_eq!(control::decode::<ClientMessage>(&frame), Ok(message));
         for length in 0..frame.len() {
-            assert!(control::decode::<ClientMessage>(&frame[..length]).is_err(), "{length}");
+            let cut = control::decode::<ClientMessage>(&frame[..length]);
+            assert_eq!(cut, Err(ControlError::Truncated), "{length}");
         }
-        let longer = [&frame[..], &[0]].concat();
-        assert_eq!(control::decode::<ClientMessage>(&longer), Err(ControlError::Trailing(1)));
+        for extra in [1, 2] {
+            let longer = [&frame[..], &vec![0; extra]].concat();
+            assert_eq!(control::decode::<ClientMessage>(&longer), Err(ControlError::Trailing(extra)));
+        }
+    }
+}
+
+#[test]
+fn an_invalid_field_is_named_by_its_fault() {
+    let tolerance = Tolerance::new(16).unwrap();
+    let delivery = Delivery::Quantised(tolerance);
+    let hello = Hello { digest: None, delivery, token: None, software: "software".into() };
+    let frame = control::encode(&ClientMessage::Hello(hello)).unwrap();
+    // Behind magic, version and variant: the digest's tag, the variant of the delivery and its
+    // tolerance, the token's tag, the length of the name and the name.
+    for (at, byte, fault) in [
+        (10, 2, "a field has a value without meaning"),
+        (15, 3, "a tolerance is a power of two from 1 to 128 units"),
+        (25, 0x80, "a length field exceeds the frame limit"),
+        (26, 0xff, "a text is not UTF-8"),
+    ] {
+        let mut other = frame.to_vec();
+        other[at] = byte;
+        let expected = Err(ControlError::Invalid(fault.into()));
+        assert_eq!(control::decode::<ClientMessage>(&other), expected, "byte {at}");
     }
 }
 
@@ -53,6 +77,8 @@ fn a_list_length_beyond_the_frame_is_rejected_before_allocation() {
         control::decode::<ClientMessage>(&[0; limits::MAX_CONTROL_FRAME + 1]),
         Err(ControlError::TooLong(_))
     ));
+    let longest = control::decode::<ClientMessage>(&[0; limits::MAX_CONTROL_FRAME]);
+    assert_eq!(longest, Err(ControlError::BadMagic));
 }
 
 proptest! {

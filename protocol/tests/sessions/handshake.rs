@@ -67,7 +67,9 @@ fn order_is_enforced_on_both_sides() {
     let chunk = chunk_codec::encode(&Land::new(1).chunk(ChunkKey::new(0, 60, 60).unwrap()), &offer().digest);
     assert!(matches!(client.receive(DataFrame::Binary(&chunk)), Err(PeerFault::OutOfOrder(_))));
     let welcome = welcome_frame();
+    assert_eq!(client.world(), None);
     client.receive(DataFrame::Binary(&welcome)).unwrap();
+    assert_eq!(client.world(), Some(offer().digest));
     assert!(matches!(client.receive(DataFrame::Binary(&welcome)), Err(PeerFault::OutOfOrder(_))));
     assert!(matches!(
         client.receive(DataFrame::Binary(&chunk[..40])),
@@ -92,4 +94,12 @@ fn a_client_with_another_generator_rejects_seed_only_delivery() {
     assert!(text.contains("use exact delivery") && text.lines().count() == 1, "{text}");
     // Control: exact delivery needs no generator.
     assert!(matches!(welcome(config(1)), Ok(Event::Welcome(_))));
+}
+
+#[test]
+fn a_client_learns_when_to_reconnect_to_a_server_that_shuts_down() {
+    let (mut client, mut server) = (ClientSession::new(config(1)), ServerSession::new(offer(), 1));
+    server.drain(1500);
+    let announced = client.receive(DataFrame::Binary(&server.poll_transmit().unwrap()));
+    assert_eq!(announced, Ok(Event::Draining { reconnect_after_ms: 1500 }));
 }

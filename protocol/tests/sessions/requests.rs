@@ -121,9 +121,28 @@ fn a_chunk_of_a_second_request_is_not_stale() {
     let mut server = welcomed(4);
     send(&mut server, &ClientMessage::Request { id: 1, keys: wire_keys(1) });
     send(&mut server, &ClientMessage::Request { id: 2, keys: wire_keys(1) });
-    assert_eq!(std::iter::from_fn(|| next_request(&mut server)).count(), 2);
-    send(&mut server, &ClientMessage::Cancel { id: 1 });
-    assert!(server.take_stale().is_empty());
+    let in_flight: Vec<_> = std::iter::from_fn(|| next_request(&mut server)).collect();
+    assert_eq!(in_flight.len(), 2);
+    for id in [1, 2] {
+        send(&mut server, &ClientMessage::Cancel { id });
+        assert!(server.take_stale().is_empty(), "another request is in flight");
+    }
+    server.withdraw(in_flight[0]);
+    send(&mut server, &ClientMessage::Cancel { id: 2 });
+    assert_eq!(server.take_stale(), [in_flight[1].key]);
+}
+
+#[test]
+fn a_long_detail_of_a_refusal_is_cut_between_characters() {
+    let mut server = welcomed(1);
+    send(&mut server, &ClientMessage::Request { id: 1, keys: wire_keys(1) });
+    let request = next_request(&mut server).unwrap();
+    // One byte, and two for each further character: the limit lies inside one.
+    let detail = |characters: usize| format!("!{}", "ü".repeat(characters));
+    server.fail(request, RefusalReason::Failed, detail(1000));
+    let frame = server.poll_transmit().unwrap();
+    let Ok(ServerMessage::Refused(refused)) = control::decode(&frame) else { panic!("{frame:?}") };
+    assert_eq!(refused.detail, detail((limits::MAX_TEXT - 1) / 2));
 }
 
 #[test]

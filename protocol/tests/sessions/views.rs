@@ -1,6 +1,7 @@
 //! Views: selection, order, settling, prefetch, limits.
 
 use crate::pair::{Pair, next_request, offer, refusals, send, view, welcomed};
+use bytes::Bytes;
 use protocol::client::Event;
 use protocol::message::{ClientMessage, RefusalReason};
 use protocol::server::ServerSession;
@@ -119,6 +120,16 @@ fn a_moving_view_prefetches_after_it_is_settled() {
     still.client.set_view(View { velocity: [0; 3], ..moving(2, 300) });
     still.run(usize::MAX);
     assert!(still.delivered > sent);
+}
+
+#[test]
+fn a_prefetched_chunk_is_no_next_chunk_before_the_view_is_settled() {
+    let mut server = welcomed(limits::MAX_CREDITS);
+    send(&mut server, &ClientMessage::View(View { velocity: [150 * 256, 0, 0], ..view(1, 600) }));
+    let in_flight: Vec<_> = std::iter::from_fn(|| next_request(&mut server)).collect();
+    assert!(!server.has_next_chunk(), "all chunks of the view are in flight");
+    in_flight.into_iter().for_each(|request| server.deliver(request, Bytes::from_static(b"chunk")));
+    assert!(server.has_next_chunk(), "the view is settled");
 }
 
 #[test]

@@ -298,18 +298,77 @@ mod tests {
     }
 
     #[test]
+    fn each_charge_takes_what_it_names_and_a_refund_returns_it() {
+        let (bucket, now) = (RateLimiter::new(Some(10)).bucket(address("10.0.0.1")), Instant::now());
+        // Before the first chunk these are tokens.
+        let left = || bucket.affordable_chunks(Duration::ZERO, now);
+        assert_eq!(left(), 100_000, "ten seconds of refill");
+        bucket.charge_work(30_000, now);
+        bucket.refund(20_000, now);
+        assert_eq!(left(), 90_000);
+        bucket.charge_bytes(1000 * 1024, now);
+        assert_eq!(left(), 89_000);
+        bucket.settle_chunk(500, 1500, now);
+        assert_eq!(left(), 88_000, "a bucket that was removed meanwhile has no mean cost");
+        // The mean is that of the first chunk, and moves by a sixteenth of the difference.
+        bucket.charge_chunk(1500, now);
+        assert_eq!(left(), 86_500 / 1500);
+        bucket.settle_chunk(1500, 3100, now);
+        assert_eq!(left(), 84_900 / 1600);
+        bucket.charge_chunk(3200, now);
+        assert_eq!(left(), 81_700 / 1700);
+    }
+
+    #[test]
+    fn an_empty_bucket_is_not_empty_after_its_delay_at_any_rate() {
+        for ms in [1, 1000, 1_000_000] {
+            let (bucket, now) = (RateLimiter::new(Some(ms)).bucket(address("10.0.0.1")), Instant::now());
+            bucket.charge_work(ms as i64 * 10_000, now);
+            let delay = bucket.delay(now).expect("it has no token");
+            assert_eq!(bucket.delay(now + delay), None, "{ms} ms per second");
+        }
+    }
+
+    #[test]
+    fn a_rate_is_one_of_so_many_shares_of_a_thread() {
+        for (ms, shares) in [(1, 1000), (3, 334), (1000, 1), (2000, 1)] {
+            let bucket = RateLimiter::new(Some(ms)).bucket(address("10.0.0.1"));
+            assert_eq!((bucket.thread_shares(), bucket.is_limited()), (shares, true), "{ms} ms");
+        }
+        assert_eq!(TokenBucket::default().thread_shares(), 1);
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn a_wait_ends_with_a_token_or_is_rejected_at_once() {
+        let (bucket, metrics) = (RateLimiter::new(Some(1)).bucket(address("10.0.0.1")), Metrics::default());
+        let start = Instant::now();
+        assert!(bucket.wait(start, &metrics).await, "the bucket is full");
+        bucket.charge_work(15_000, start);
+        let in_time = start + bucket.delay(start).unwrap();
+        assert!(!bucket.wait(in_time - Duration::from_nanos(1), &metrics).await);
+        assert_eq!(Instant::now(), start);
+        assert!(bucket.wait(in_time, &metrics).await);
+        assert!(Instant::now() >= in_time);
+        let limits = &metrics.limits;
+        assert_eq!((limits.rate_limit_delays.get(), limits.rate_limit_rejections.get()), (1, 1));
+    }
+
+    #[test]
     fn full_buckets_are_removed() {
         let (limiter, start) = (RateLimiter::new(Some(10)), Instant::now());
         let Some(table) = &limiter.table else { panic!("a limit") };
-        let visit = |from: u32, now| {
-            for number in from..from + 5000 {
+        let visit = |numbers: std::ops::Range<u32>, now| {
+            for number in numbers {
                 limiter.bucket(Some(IpAddr::from(number.to_be_bytes()))).charge_chunk(1000, now);
             }
             table.buckets.lock().unwrap().by_network.len()
         };
-        assert_eq!(visit(0, start), 5000, "none of them is full");
-        assert!(visit(100_000, start + Duration::from_secs(60)) <= 2 * 5000 + MIN_SWEEP_SIZE);
-        assert!(visit(200_000, start + Duration::from_secs(120)) <= 2 * 5000 + MIN_SWEEP_SIZE);
+        let [second, third] = [60, 120].map(|seconds| start + Duration::from_secs(seconds));
+        assert_eq!(visit(0..5000, start), 5000, "none of them is full");
+        // To look through the table for every charge would take longer than the charge.
+        assert_eq!(visit(100_000..101_000, second), 6000, "the table has not doubled");
+        assert!(visit(101_000..105_000, second) <= 2 * 5000 + MIN_SWEEP_SIZE);
+        assert!(visit(200_000..205_000, third) <= 2 * 5000 + MIN_SWEEP_SIZE);
     }
 
     #[test]

@@ -116,4 +116,45 @@ mod tests {
         let (wrote, ()) = tokio::join!(near.write_all(&[0; 1000]), reading);
         wrote.unwrap();
     }
+
+    /// A stream that takes everything, and counts what is asked of it.
+    #[derive(Debug, Default)]
+    struct Asked {
+        is_vectored: bool,
+        flushes: u32,
+        ends: u32,
+    }
+
+    impl AsyncWrite for Asked {
+        fn poll_write(self: Pin<&mut Self>, _: &mut Context<'_>, bytes: &[u8]) -> Poll<io::Result<usize>> {
+            Poll::Ready(Ok(bytes.len()))
+        }
+
+        fn is_write_vectored(&self) -> bool {
+            self.is_vectored
+        }
+
+        fn poll_flush(mut self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<io::Result<()>> {
+            self.flushes += 1;
+            Poll::Ready(Ok(()))
+        }
+
+        fn poll_shutdown(mut self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<io::Result<()>> {
+            self.ends += 1;
+            Poll::Ready(Ok(()))
+        }
+    }
+
+    #[tokio::test]
+    async fn all_but_the_timeout_is_that_of_the_wrapped_stream() {
+        for is_vectored in [false, true] {
+            let mut near = WriteTimeoutStream::new(Asked { is_vectored, ..Asked::default() }, TIMEOUT);
+            assert_eq!(near.is_write_vectored(), is_vectored);
+            assert_eq!(near.write_vectored(&[IoSlice::new(b"both"), IoSlice::new(b"")]).await.unwrap(), 4);
+            near.flush().await.unwrap();
+            near.shutdown().await.unwrap();
+            let Asked { flushes, ends, .. } = near.into_inner();
+            assert_eq!((flushes, ends), (1, 1));
+        }
+    }
 }

@@ -74,3 +74,68 @@ fn end(span: &Span, outcome: &'static str) {
     // The export takes the last exit of a span as its end.
     span.in_scope(|| ());
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::traces::TraceConfig;
+    use std::fmt::Debug;
+    use std::sync::{Arc, Mutex};
+    use tracing::Subscriber;
+    use tracing::field::{Field, Visit};
+    use tracing::span::{Id, Record};
+    use tracing_subscriber::layer::{Context, Layer, SubscriberExt};
+
+    /// What spans record after their begin: the outcomes.
+    #[derive(Clone, Debug, Default)]
+    struct Outcomes(Arc<Mutex<Vec<String>>>);
+
+    impl Outcomes {
+        fn seen(&self) -> Vec<String> {
+            self.0.lock().unwrap().clone()
+        }
+    }
+
+    impl Visit for Outcomes {
+        fn record_str(&mut self, _: &Field, text: &str) {
+            self.0.lock().unwrap().push(text.into());
+        }
+
+        fn record_debug(&mut self, field: &Field, value: &dyn Debug) {
+            panic!("{field} is {value:?}");
+        }
+    }
+
+    impl<S: Subscriber> Layer<S> for Outcomes {
+        fn on_record(&self, _: &Id, values: &Record<'_>, _: Context<'_, S>) {
+            values.record(&mut self.clone());
+        }
+    }
+
+    #[test]
+    fn every_traced_chunk_has_one_outcome() {
+        let outcomes = Outcomes::default();
+        tracing::subscriber::with_default(tracing_subscriber::registry().with(outcomes.clone()), || {
+            let endpoint = url::Url::parse("http://127.0.0.1:4318/v1/traces").unwrap();
+            let traces = Traces::new(Some(&TraceConfig { endpoint, every: 1 }));
+            let mut session = ChunkTraces::new(None);
+            let key = |x| ChunkKey::new(0, x, 0).unwrap();
+            for x in 0..6 {
+                drop(session.begin(&traces, key(x), Delivery::Exact));
+            }
+            session.end(key(3), "failed");
+            session.end(key(3), "overloaded");
+            assert_eq!(outcomes.seen(), ["failed"], "it is not in generation any more");
+            session.deliver(key(1));
+            session.flushed(true);
+            session.deliver(key(0));
+            session.flushed(false);
+            assert_eq!(outcomes.seen(), ["failed", "sent", "unsent"]);
+            // One in a flush, and two in generation.
+            session.deliver(key(5));
+            drop(session);
+            let expected = ["failed", "sent", "unsent", "unsent", "cancelled", "cancelled"];
+            assert_eq!(outcomes.seen(), expected);
+        });
+    }
+}

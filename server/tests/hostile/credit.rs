@@ -30,7 +30,9 @@ async fn invalid_grants_are_refused_and_allow_no_chunk() {
         session.has_nothing().await;
     }
     let name = "tombolo_requests_rejected_total{transport=\"websocket\",reason=\"invalid_credit\"}";
-    assert_eq!(value(&server.metrics().await, name), invalid.len() as u64);
+    let metrics = server.metrics().await;
+    assert_eq!(value(&metrics, name), invalid.len() as u64);
+    assert!(!metrics.contains("tombolo_chunks_sent_total{"), "no chunk was sent: {metrics}");
     server.serves().await;
     // The control: one credit, one chunk of the request that waits.
     session.send(&ClientMessage::Credit { chunks: 1 }).await;

@@ -81,7 +81,7 @@ async fn chunks_before(peer: &mut Peer) -> (usize, Received) {
 
 #[tokio::test(start_paused = true)]
 async fn a_message_is_read_between_two_batches() {
-    let (_state, mut peer) = downloading().await;
+    let (state, mut peer) = downloading().await;
     peer.send(PING, b"").await;
     let (before, pong) = chunks_before(&mut peer).await;
     assert_eq!(pong, Received::Pong);
@@ -89,6 +89,11 @@ async fn a_message_is_read_between_two_batches() {
     for _ in READ + before..REQUESTED {
         assert_eq!(receive(&mut peer).await, Received::Chunk);
     }
+    // Behind the end of the last write.
+    peer.send(PING, b"").await;
+    assert_eq!(receive(&mut peer).await, Received::Pong);
+    let latencies: u64 = state.metrics.sessions.latency.counts().iter().sum();
+    assert_eq!(latencies, REQUESTED as u64, "one of each chunk");
 }
 
 #[tokio::test(start_paused = true)]
@@ -101,14 +106,18 @@ async fn a_shutdown_is_announced_between_two_batches() {
     assert_eq!(receive(&mut peer).await, Received::Close(CloseCode::GoingAway.code()));
 }
 
-/// A batch of cached chunks takes longer at this rate than the timeout of a write.
-#[tokio::test(start_paused = true)]
-async fn a_slow_reader_keeps_its_session_whatever_the_length_of_a_batch() {
-    // Land, whose frames are longer than those of the sea.
+/// Chunks of the land, whose frames are longer than those of the sea.
+fn around_the_start() -> Vec<ChunkKey> {
     let start = Land::new(1).start();
     let corner = ChunkKey::containing(0, start.x, start.z);
     let around = (0..REQUESTED as i32).map(|n| ChunkKey::new(0, corner.x() + n % 32, corner.z() + n / 32));
-    let (_state, mut peer) = downloading_over(4096, around.map(Result::unwrap).collect()).await;
+    around.map(Result::unwrap).collect()
+}
+
+/// A batch of cached chunks takes longer at this rate than the timeout of a write.
+#[tokio::test(start_paused = true)]
+async fn a_slow_reader_keeps_its_session_whatever_the_length_of_a_batch() {
+    let (_state, mut peer) = downloading_over(4096, around_the_start()).await;
     let (mut chunks, mut bytes, mut total) = (READ, 0, 0);
     while chunks < REQUESTED {
         let (opcode, payload) = peer.next().await.expect("the session goes on");
@@ -126,6 +135,21 @@ async fn a_slow_reader_keeps_its_session_whatever_the_length_of_a_batch() {
         }
     }
     assert!(total > 1000 * REQUESTED, "{total} bytes");
+}
+
+/// The control: 40 KiB in the timeout of a write, and not 64.
+#[tokio::test(start_paused = true)]
+async fn a_slower_reader_loses_its_session() {
+    let (state, mut peer) = downloading_over(4096, around_the_start()).await;
+    let mut bytes = 0;
+    while let Some((_, payload)) = peer.next().await {
+        bytes += payload.len();
+        if bytes > 8 * 1024 {
+            tokio::time::sleep(Duration::from_secs(2)).await;
+            bytes = 0;
+        }
+    }
+    assert_eq!(state.metrics.sessions.ended_for("write_timeout"), 1);
 }
 
 /// Answers that the peer does not read have one timeout, also where a violation ends the session.

@@ -3,14 +3,18 @@
 //! | module | subject |
 //! | --- | --- |
 //! | `batches` | many cached chunks for one client |
+//! | `ends` | why and how sessions end |
 //! | `keepalive` | pings and the timeout of idle sessions |
 //! | `message_deadline` | messages that are begun and not finished |
 //! | `rate_limit` | the token bucket of an address |
 //! | `refusal_backoff` | pauses after many rejections |
+//! | `waiting` | chunks and views that wait for the generation thread |
 
 mod batches;
+mod ends;
 mod keepalive;
 mod message_deadline;
 mod peer;
 mod rate_limit;
 mod refusal_backoff;
+mod waiting;

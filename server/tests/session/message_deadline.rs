@@ -1,7 +1,7 @@
 //! Messages that are begun and not finished.
 
 use crate::peer::{BINARY, CLOSE, PING, PONG, Peer};
-use protocol::message::ClientMessage;
+use protocol::message::{ClientMessage, WireKey};
 use protocol::{CloseCode, control};
 use server::ServerConfig;
 use server::limits::rate_limit::TokenBucket;
@@ -80,14 +80,44 @@ async fn empty_continuation_frames_finish_no_message() {
 
 #[tokio::test(start_paused = true)]
 async fn messages_that_end_in_time_go_on_without_end() {
-    // The control: each piece ends a message and begins the next.
-    let mut peer = connected().await;
     let message = frame(0x80 | BINARY, &credit());
-    let (head, tail) = message.split_at(3);
-    let pieces = std::iter::once(head.to_vec()).chain((0..60).map(|_| [tail, head].concat()));
-    assert_eq!(closed(&mut peer, pieces).await, None);
+    // The control: each piece ends a message or a control frame and begins the next.
+    for repeated in [&message, &frame(0x80 | PONG, b"")] {
+        let mut peer = connected().await;
+        let (head, tail) = repeated.split_at(3);
+        let pieces = std::iter::once(head.to_vec()).chain((0..60).map(|_| [tail, head].concat()));
+        assert_eq!(closed(&mut peer, pieces).await, None);
+    }
     // Whole messages and control frames.
     let mut peer = connected().await;
     let pieces = (0..60).map(|n| if n % 2 == 0 { message.clone() } else { frame(0x80 | PONG, b"") });
     assert_eq!(closed(&mut peer, pieces).await, None);
+}
+
+/// A session does not read while it writes: what arrives until the end of a write is in time.
+#[tokio::test(start_paused = true)]
+async fn a_message_whose_rest_comes_during_a_long_write_is_in_time() {
+    const REFUSALS: usize = 128;
+    let config = ServerConfig { threads: 1, ..ServerConfig::default() };
+    let state = Arc::new(ServerState::new(config).unwrap());
+    let mut peer = Peer::over_pipe(&state, TokenBucket::default(), 4096);
+    peer.hello().await;
+    // More refusals than the pipe holds, and the head of the next message.
+    let keys = vec![WireKey { level: 200, x: 0, z: 0 }; REFUSALS];
+    let request = control::encode(&ClientMessage::Request { id: 1, keys }).unwrap();
+    let length = u16::try_from(request.len()).unwrap().to_be_bytes();
+    let credit = frame(0x80 | BINARY, &credit());
+    let (head, tail) = credit.split_at(3);
+    let begun = [&[0x80 | BINARY, 0x80 | 126], &length[..], &[0; 4], &request, head].concat();
+    // The rest and the end of its time are seen at once; which of them comes first is random.
+    for round in 0..100 {
+        peer.write(&begun).await.unwrap();
+        sleep(6 * SECOND).await;
+        peer.write(tail).await.unwrap();
+        for _ in 0..REFUSALS {
+            assert_eq!(peer.next().await.map(|(opcode, _)| opcode), Some(BINARY), "round {round}");
+        }
+    }
+    peer.send(PING, b"?").await;
+    assert_eq!(peer.next().await.map(|(opcode, _)| opcode), Some(PONG));
 }

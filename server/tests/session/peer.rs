@@ -8,6 +8,7 @@ use server::session::driver::{self, READ_LIMIT};
 use server::state::ServerState;
 use server::websocket::socket::WebSocket;
 use std::sync::Arc;
+use std::sync::atomic::Ordering;
 use std::time::Duration;
 use tokio::io::{AsyncReadExt, AsyncWriteExt, DuplexStream};
 
@@ -31,17 +32,11 @@ impl Peer {
     pub fn over_pipe(state: &Arc<ServerState>, bucket: TokenBucket, bytes: usize) -> Self {
         let (io, theirs) = tokio::io::duplex(bytes);
         let server = Arc::clone(state);
+        let number = state.next_session.fetch_add(1, Ordering::Relaxed);
         tokio::spawn(async move {
             let socket = WebSocket::new(theirs, &[], READ_LIMIT);
-            driver::serve(
-                socket,
-                &server,
-                server.offer.clone(),
-                server.open_sessions.register(1, None),
-                bucket,
-                None,
-            )
-            .await;
+            let open = server.open_sessions.register(number, None);
+            driver::serve(socket, &server, server.offer.clone(), open, bucket, None).await;
         });
         Self { io, state: Arc::clone(state) }
     }

@@ -82,6 +82,24 @@ async fn requests_over_the_rate_limit_are_rejected_at_once() {
     assert_eq!(receive(&mut throttled, keys.len()).await, (keys.len(), vec![]));
 }
 
+#[tokio::test(start_paused = true)]
+async fn requests_that_the_bucket_pays_for_within_the_deadline_are_not_rejected() {
+    let state = server_state();
+    let keys: Vec<ChunkKey> = (0..20).map(|x| ChunkKey::new(0, x, 0).unwrap()).collect();
+    generate(&state, &keys).await;
+    let bucket = bucket(&state, "10.0.0.1");
+    let mut peer = Peer::connect(&state, bucket.clone()).await;
+    // The bucket is empty. Half a second of refill pays for ten at the recent cost.
+    for _ in 0..200 {
+        bucket.charge_chunk(50, Instant::now());
+    }
+    peer.send_message(&ClientMessage::Credit { chunks: 1000 }).await;
+    let keys = keys.into_iter().map(ChunkKey::into).collect();
+    peer.send_message(&ClientMessage::Request { id: 7, keys }).await;
+    assert_eq!(receive(&mut peer, 20).await, (10, vec![RefusalReason::Overloaded; 10]));
+    assert_eq!(state.metrics.limits.rate_limit_rejections.get(), 10);
+}
+
 /// On the real clock: a view is selected on a thread, and a paused clock would run away meanwhile.
 #[tokio::test]
 async fn a_view_is_delayed_by_the_rate_limit_and_never_rejected() {

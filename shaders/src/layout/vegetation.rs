@@ -51,11 +51,11 @@ pub const CULL_FRUSTUM: u32 = 1;
 /// (T2). Loses visible clumps.
 pub const CULL_NOISE: u32 = 2;
 
-/// [`Culling::path`]: of these, clumps that ray marching over the drawn vertices does not find
-/// occluded, chunks by five points (T3 as first published). Loses visible clumps.
+/// [`Culling::path`]: clumps in the frustum that ray marching over the drawn vertices does not find
+/// occluded, chunks by five points. Loses visible clumps.
 pub const CULL_MARCH: u32 = 3;
 
-/// [`Culling::path`]: of these, clumps that the drawn triangles do not provably occlude (T3).
+/// [`Culling::path`]: clumps in the frustum that the drawn triangles do not provably occlude (T3).
 pub const CULL_EXACT: u32 = 4;
 
 /// Octaves of the height that [`CULL_NOISE`] marches over: the most whose base field is evaluated

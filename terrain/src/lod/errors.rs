@@ -381,4 +381,13 @@ mod tests {
         }
         assert_eq!(land.remembered(asked), None);
     }
+
+    #[test]
+    fn a_part_that_is_measured_again_changes_nothing() {
+        let (key, part) = (ChunkKey::new(2, -1, 3).unwrap(), ChunkKey::new(1, -1, 6).unwrap());
+        let once = with_part(None, key, part, 5);
+        assert_eq!(once, Entry::Measured { parts: 0b10, worst: 5 });
+        assert_eq!(with_part(Some(once), key, part, 5), once);
+        assert_eq!(with_part(Some(Entry::Known(9)), key, part, 5), Entry::Known(9));
+    }
 }

@@ -288,31 +288,111 @@ mod tests {
         assert!(farthest < 0.5001 && farthest > 0.4999, "{farthest}");
     }
 
-    /// Whole vertex cells and rows beyond them agree with the drawn surface, node by node.
+    /// Vertex cells agree with the drawn surface, node by node; those at the border with the planes
+    /// of their triangles beyond it, too.
     #[test]
     fn nodes_are_compared_with_the_triangles_above_them() {
         let land = Land::new(3);
-        for level in 5..=7 {
-            let key = ChunkKey::new(level, 0, -1).unwrap();
+        // About the origin, and an island far from both axes.
+        for (level, x, z) in [(5, 0, -1), (6, 0, -1), (7, 0, -1), (5, 13, 10)] {
+            let key = ChunkKey::new(level, x, z).unwrap();
             let heights = land.chunk_heights(key);
             let apart = Comparison::new(key, &heights).cells(&land, (0..CELLS, 0..CELLS));
             let side = key.spacing() as usize >> CELL_BITS;
             let depth = side.trailing_zeros() as u8 + 1;
-            let (first, along) =
-                ((spline::cell(key.origin().0).0, spline::cell(key.origin().1).0), CELLS * side);
+            // One node more to every side.
+            let along = CELLS * side + 2;
+            let first = (spline::cell(key.origin().0).0 - 1, spline::cell(key.origin().1).0 - 1);
             let (mut base, mut shares) = (vec![0; along * along], vec![0; along * along]);
             nodes(Kernel::best(), &land, first, along, &mut base, &mut shares);
-            for (x, z) in (1..CELLS - 1).flat_map(|z| (1..CELLS - 1).map(move |x| (x, z))) {
-                let (mut above, mut roughness) = (i64::MIN, 0);
-                for (column, row) in (0..side * side).map(|n| (x * side + n % side, z * side + n / side)) {
-                    let drawn = drawn_height_scaled(&heights, 2 * column + 1, 2 * row + 1, depth);
+            let at = |x: usize, z: usize| heights[z * VERTICES + x];
+            let of_cell = |cell: usize| {
+                cell * side + usize::from(cell > 0)..(cell + 1) * side + 1 + usize::from(cell + 1 == CELLS)
+            };
+            for (x, z) in (0..CELLS).flat_map(|z| (0..CELLS).map(move |x| (x, z))) {
+                let [low, east, south, high] = [at(x, z), at(x + 1, z), at(x, z + 1), at(x + 1, z + 1)];
+                let mut expected = NodesApart::NONE;
+                for (column, row) in of_cell(z).flat_map(|row| of_cell(x).map(move |column| (column, row))) {
+                    // In halves of the distance between nodes, from the corner of the cell.
+                    let halves = |node: usize, cell: usize| 2 * (node as i32 - (cell * side) as i32) - 1;
+                    let (u, v, scale) = (halves(column, x), halves(row, z), 2 * side as i32);
+                    let drawn = scale * low
+                        + if u >= v {
+                            (east - low) * u + (high - east) * v
+                        } else {
+                            (south - low) * v + (high - south) * u
+                        };
+                    if [column, row].iter().all(|node| (1..along - 1).contains(node)) {
+                        let stated = drawn_height_scaled(&heights, 2 * column - 1, 2 * row - 1, depth);
+                        assert_eq!(i64::from(drawn), stated, "{key} ({column}, {row})");
+                    }
                     let node = row * along + column;
-                    above = above.max((i64::from(base[node] >> 8) << depth) - drawn);
-                    roughness = roughness.max(shares[node] & 0xffff);
+                    let (height, exposure) = (base[node] >> 8, shares[node] >> 16);
+                    let above = scale * height - drawn;
+                    // 34 m of the exposure.
+                    let raised = above + scale * ((34 * exposure) >> 7);
+                    expected = expected.and(&NodesApart {
+                        above,
+                        below: -above,
+                        above_with_cliff: raised,
+                        below_with_cliff: -raised,
+                        low: height,
+                        high: height,
+                        roughness: shares[node] & 0xffff,
+                    });
                 }
-                let found = &apart[z * CELLS + x];
-                assert_eq!((i64::from(found.above), found.roughness), (above, roughness), "{key} ({x}, {z})");
+                assert_eq!(apart[z * CELLS + x], expected, "{key} ({x}, {z})");
             }
         }
+    }
+
+    #[test]
+    fn only_cells_at_the_border_have_nodes_beyond_it() {
+        let beyond = |x: usize, z: usize| beyond_the_border((x, z), 2).collect::<Vec<_>>();
+        let last = CELLS - 1;
+        assert!(beyond(1, 5).is_empty() && beyond(last - 1, last - 1).is_empty());
+        assert_eq!(beyond(0, 5), [(-1, 0), (-1, 1)]);
+        assert_eq!(beyond(5, last), [(0, 2), (1, 2)]);
+        assert_eq!(beyond(last, 0), [(0, -1), (1, -1), (2, -1), (2, 0), (2, 1)]);
+    }
+
+    /// Nodes 100, 200, 300 and 400 units away, and a quarter of a unit more, which is rounded up.
+    #[test]
+    fn the_bound_counts_cliff_and_beach_by_the_heights_of_the_nodes() {
+        let beach_bend = 471;
+        for (roughness, fine) in [(0, 1), (1 << 14, 2_807)] {
+            // The highest and the lowest node at which a cell may reach 8 m above or below the sea.
+            let edge = 8 * UNITS_PER_METRE + fine;
+            for (low, high, expected) in [
+                (edge + 1, 1 << 18, 400),
+                (edge, 1 << 18, 300 + beach_bend),
+                (-(1 << 14), -edge, 300 + beach_bend),
+                (-(1 << 14), -edge - 1, 200),
+            ] {
+                for rounded_up in [0, 1] {
+                    let scaled = |units: i32| 4 * units + rounded_up;
+                    let apart = NodesApart {
+                        above: scaled(100),
+                        below: scaled(200),
+                        above_with_cliff: scaled(300),
+                        below_with_cliff: scaled(400),
+                        low,
+                        high,
+                        roughness,
+                    };
+                    assert_eq!(bound(&apart, 2), expected + rounded_up + fine, "{apart:?}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn the_worst_of_some_parts_is_the_largest_bound_and_needs_land() {
+        let part = |bound: i32, has_land: bool| Worst { bound: Some(bound), has_land };
+        let (low, high) = (part(3, false), part(7, true));
+        for both in [low.and(high), high.and(low), high.and(high), Worst::default().and(high)] {
+            assert_eq!((both, both.bound()), (high, 12), "5 units more for what is rounded");
+        }
+        assert_eq!(low.and(low).bound(), 0);
     }
 }

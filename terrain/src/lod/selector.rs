@@ -236,4 +236,19 @@ mod tests {
             }
         }
     }
+
+    #[test]
+    fn a_step_examines_as_many_chunks_as_it_is_given_and_counts_them() {
+        let land = Land::new(1);
+        // Chunks of level 9, whose errors take no measurement.
+        let viewer = Viewer { eye: (0, 0, 0), distance_m: 65_536, pixels_per_radian: 1, tolerance_q4: 16 };
+        let mut selector = Selector::new(&land, &viewer, usize::MAX);
+        assert!(!selector.step(3) && matches!(selector.phase, Phase::Split { examined: 3, .. }));
+        assert!(!selector.step(2) && matches!(selector.phase, Phase::Split { examined: 5, .. }));
+        selector.splits.levels[0] = (0..5).map(|x| (ChunkKey::new(0, x, 0).unwrap(), 20)).collect();
+        for phase in [Phase::Balance { level: 0, examined: 2 }, Phase::List { level: 0, listed: 2 }] {
+            selector.phase = phase;
+            assert_eq!(selector.advance(100), 3);
+        }
+    }
 }

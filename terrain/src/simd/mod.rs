@@ -454,6 +454,24 @@ mod tests {
         assert_eq!(Kernel::named("abacus"), None);
     }
 
+    #[cfg(target_arch = "x86_64")]
+    #[test]
+    fn kernels_are_those_whose_features_this_cpu_has() {
+        let sse41 = is_x86_feature_detected!("sse4.1") && is_x86_feature_detected!("ssse3");
+        let avx2 = is_x86_feature_detected!("avx2");
+        let avx512 = avx2 && is_x86_feature_detected!("avx512f") && is_x86_feature_detected!("avx512bw");
+        let names = [("scalar", true), ("sse4.1", sse41), ("avx2", avx2), ("avx512", avx512)];
+        let names: Vec<_> = names.iter().filter(|(_, runs)| *runs).map(|(name, _)| *name).collect();
+        let available: Vec<_> = Kernel::available().collect();
+        assert_eq!(available.iter().map(Kernel::to_string).collect::<Vec<_>>(), names);
+        assert_eq!(Some(&Kernel::best()), available.last());
+        for kernel in available {
+            let short = kernel.for_short_rows().to_string();
+            assert!(short == kernel.to_string() || (short == "avx2" && kernel.to_string() == "avx512"));
+            assert_ne!(short, "avx512");
+        }
+    }
+
     #[test]
     fn kernels_equal_points_at_every_level_and_world_corner() {
         let land = Land::new(7);

@@ -137,3 +137,33 @@ impl Ray {
 pub(super) fn height(land: &Land, (x, z): Place, octaves: Octaves) -> i32 {
     Position::new(x, z).map_or(0, |position| land.height_keeping(position, octaves))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn places_on_a_ray_are_vertices_of_16_metres() {
+        let ray = Ray { origin: (5, 4096 * 3 + 7), direction: (-(1 << 15), 1 << 14) };
+        assert_eq!(ray.along(20), (5 - 20 * 256, 4096 * 3 + 7 + 10 * 256));
+        assert_eq!(ray.at(20), (-8192, 4096 * 3));
+    }
+
+    #[test]
+    fn a_start_is_dry_and_lies_near_its_coast() {
+        assert_eq!(FROM_COAST, (2 * 64 + 2 * 16) << UNIT_BITS);
+        let mut starts = 0;
+        for seed in 0..4 {
+            let land = Land::new(seed);
+            for Coast { ray, step, .. } in Coasts::about(&land, (0, 0)).0 {
+                let Some((cost, start)) = ray.start(&land, step) else { continue };
+                let (x, z) = ray.at(64 * step);
+                assert!((start.x - x).abs() <= FROM_COAST && (start.z - z).abs() <= FROM_COAST, "{start:?}");
+                assert!(height(&land, (start.x, start.z), Octaves::ALL) > 1 << 7, "{start:?}");
+                assert!([0, 16].contains(&(cost - (step - 32).abs())), "{cost} at step {step}");
+                starts += 1;
+            }
+        }
+        assert!(starts > 4, "{starts}");
+    }
+}

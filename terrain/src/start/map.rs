@@ -150,3 +150,109 @@ fn squares(
 pub(super) fn square(from: Place, to: Place) -> i64 {
     (i64::from(from.0) - i64::from(to.0)).pow(2) + (i64::from(from.1) - i64::from(to.1)).pow(2)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::hash::mix;
+    use crate::octaves::Octaves;
+    use crate::position::Position;
+    use std::collections::BTreeMap;
+
+    impl Map {
+        /// A map from the origin, 32 m between its vertices.
+        pub(in crate::start) fn of_heights(side: usize, heights: Vec<i32>) -> Self {
+            Self { corner: (0, 0), spacing_bits: SPACING_BITS + 4, side, heights }
+        }
+    }
+
+    #[test]
+    fn a_map_has_the_heights_between_its_corners() {
+        let land = Land::new(1);
+        // Level 5: 16,384 units between vertices.
+        let at = |column: i32, row: i32| (16_384 * column - 65_536, 16_384 * row + 32_768);
+        let map = Map::of(&land, 5, at(0, 0), at(5, 3));
+        assert_eq!((map.side(), map.heights.len(), map.spacing()), (6, 24, 16_384));
+        for index in 0..24 {
+            let (x, z) = at((index % 6) as i32, (index / 6) as i32);
+            let height = land.height_keeping(Position::new(x, z).unwrap(), Octaves::at_level(5));
+            assert_eq!((map.place(index), map.height(index)), ((x, z), height));
+        }
+        let border = 1 << 30;
+        assert!(Map::of(&land, 5, (border, 0), (border + 16_384, 0)).heights.is_empty());
+    }
+
+    #[test]
+    fn a_widened_map_keeps_its_heights_and_has_the_others_of_the_whole() {
+        let land = Land::new(1);
+        let at = |column: i32, row: i32| (column << 15, row << 15);
+        // Wider than the squares that are evaluated at once, by another number on every side.
+        let (corner, end) = (at(-73, -80), at(80, 70));
+        let mut inner = Map::of(&land, 6, at(-3, -2), at(4, 1));
+        inner.heights.fill(7);
+        let (wide, mut whole) = (inner.widened(&land, corner, end), Map::of(&land, 6, corner, end));
+        for index in 0..whole.heights.len() {
+            let (x, z) = whole.place(index);
+            if (-3..=4).contains(&(x >> 15)) && (-2..=1).contains(&(z >> 15)) {
+                whole.heights[index] = 7;
+            }
+        }
+        assert_eq!((wide.corner, wide.side, wide.spacing()), (corner, 154, 1 << 15));
+        assert!(wide.heights == whole.heights);
+    }
+
+    #[test]
+    fn heights_are_smoothed_along_x_and_then_along_z() {
+        let (side, rows) = (7, 9);
+        let heights: Vec<i32> = (0..side * rows).map(|index| mix(index as u32) as i32 >> 12).collect();
+        let map = Map::of_heights(side, heights.clone());
+        for reach in [1, 2] {
+            let mut expected = heights.clone();
+            for step in [1, side] {
+                let before = expected.clone();
+                for (index, mean) in expected.iter_mut().enumerate() {
+                    let around = (0..=2 * reach).map(|n| (index + n * step).checked_sub(reach * step));
+                    let values: Option<Vec<i32>> = around.map(|place| before.get(place?).copied()).collect();
+                    if let Some(values) = values {
+                        *mean = values.iter().sum::<i32>() / values.len() as i32;
+                    }
+                }
+            }
+            let smoothed = map.smoothed(reach);
+            assert_eq!((smoothed.side, smoothed.heights), (side, expected), "{reach}");
+        }
+    }
+
+    #[test]
+    fn regions_are_joined_by_edges_and_corners_and_keep_clear_of_the_edge() {
+        let (side, rows) = (20, 17);
+        let map = Map::of_heights(side, vec![0; side * rows]);
+        let has = |index: usize| mix(index as u32) % 5 < 2;
+        let inside: Vec<usize> = (0..side * rows)
+            .filter(|index| (4..16).contains(&(index % side)) && (4..13).contains(&(index / side)))
+            .filter(|index| has(*index))
+            .collect();
+        // The least vertex of a region is its label, which neighbours take over until none changes.
+        let mut labels: BTreeMap<usize, usize> = inside.iter().map(|index| (*index, *index)).collect();
+        for _ in &inside {
+            for index in &inside {
+                let near = |other: &&usize| {
+                    (*other % side).abs_diff(index % side) < 2 && (*other / side).abs_diff(index / side) < 2
+                };
+                let least = inside.iter().filter(near).map(|other| labels[other]).min();
+                labels.insert(*index, least.unwrap());
+            }
+        }
+        let mut expected: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
+        labels.iter().for_each(|(index, label)| expected.entry(*label).or_default().push(*index));
+        let mut regions = map.regions(has);
+        regions.iter_mut().for_each(|region| region.sort_unstable());
+        assert!(regions.len() > 3 && regions.iter().any(|region| region.len() > 3), "{regions:?}");
+        assert_eq!(regions, expected.into_values().collect::<Vec<_>>());
+    }
+
+    #[test]
+    fn the_square_of_a_distance_is_that_of_wide_arithmetic() {
+        assert_eq!(square((-(1 << 30), 5), (1 << 30, 2)), (1 << 62) + 9);
+    }
+}

@@ -171,3 +171,150 @@ fn outlined(land: &Land, coarse: &Map, plain: &[usize]) -> Vec<Vec<Place>> {
         .map(|region| region.into_iter().map(|index| fine.place(index)).collect())
         .collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Metres in units.
+    const M: i32 = 256;
+
+    fn surroundings(land: &Land, plain: Vec<Place>, floor: Vec<(Place, i32)>) -> Surroundings<'_> {
+        let map = Map::of(land, COARSE, (0, 0), (0, 0));
+        let plains = vec![Region::of(plain, |place| *place)];
+        let floors = vec![Region::of(floor, |(place, _)| *place)];
+        Surroundings { land, map, half: 8192 * M, plains, floors }
+    }
+
+    #[test]
+    fn a_place_is_varied_near_a_plain_and_a_long_valley_that_falls() {
+        let land = Land::new(1);
+        let valley = |length: Place, fall: i32| {
+            vec![((M, 2 * M), 100 * M), ((M + length.0, 2 * M + length.1), 100 * M + fall)]
+        };
+        let good = || valley((416 * M, 0), 30 * M);
+        let far = 2980 * M;
+        for (plain, floor, vertices, expected) in [
+            ((0, 0), good(), 3, true),
+            ((0, 0), good(), 4, false),
+            ((0, 0), valley((0, 416 * M), 30 * M), 3, true),
+            ((0, 0), valley((416 * M - 1, 300 * M), 30 * M), 3, false),
+            ((0, 0), valley((416 * M, 0), 30 * M - 1), 3, false),
+            // The end of the valley lies too far away.
+            ((0, 0), valley((far, 0), 30 * M), 3, false),
+            ((far - 1, 0), good(), 3, true),
+            ((0, -far), good(), 3, false),
+            // In the square about the place, on the circle and inside it.
+            ((far / 5 * 3, far / 5 * 4), good(), 3, false),
+            ((far / 5 * 3, far / 5 * 4 - 1), good(), 3, true),
+        ] {
+            let found = surroundings(&land, vec![plain; 3], floor.clone());
+            assert_eq!(found.are_varied_at((0, 0), 0, vertices), expected, "{plain:?} {floor:?} {vertices}");
+        }
+        // With slack, once and a half of it farther.
+        for (x, expected) in [(far + 1499, true), (far + 1500, false)] {
+            assert_eq!(surroundings(&land, vec![(x, 0); 3], good()).are_varied_at((0, 0), 1000, 3), expected);
+        }
+    }
+
+    #[test]
+    fn no_place_is_varied_whose_surroundings_are_not_known() {
+        let land = Land::new(1);
+        let most = (8192 - 2980) * M;
+        for (slack, beyond, expected) in [(0, 0, true), (0, 1, false), (10, 10, true), (10, 11, false)] {
+            for (x, z) in [(most + beyond, 0), (0, -most - beyond)] {
+                let floor = vec![((x, z), 0), ((x, z + 416 * M), 30 * M)];
+                let found = surroundings(&land, vec![(x, z); 3], floor);
+                assert_eq!(found.are_varied_at((x, z), slack, 3), expected, "({x}, {z}), slack {slack}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_region_may_be_within_a_distance_of_its_square() {
+        let region = Region::of(vec![(10, 40), (30, 20)], |place: &Place| *place);
+        for (at, expected) in [
+            ((34, 30), true),
+            ((35, 30), false),
+            ((6, 30), true),
+            ((5, 30), false),
+            ((20, 44), true),
+            ((20, 45), false),
+            ((20, 16), true),
+            ((20, 15), false),
+        ] {
+            assert_eq!(region.may_be_within(5, at), expected, "{at:?}");
+        }
+    }
+
+    #[test]
+    fn middles_of_plains_are_listed_by_their_distance_from_the_origin() {
+        let land = Land::new(1);
+        let mut found = surroundings(&land, vec![(-100, 50), (-110, 40), (-120, 30)], Vec::new());
+        found.plains.push(Region::of(vec![(4, 0), (8, 6)], |place| *place));
+        assert_eq!(found.plains(2), [(6, 3), (-110, 40)]);
+        assert_eq!(found.plains(3), [(-110, 40)]);
+    }
+
+    #[test]
+    fn a_plain_is_flatter_than_three_degrees_and_neither_beach_nor_high() {
+        // Four of the vertices are far enough from the edge.
+        for (low, east, south, vertices) in [
+            (20 * M, 428, 0, 4),
+            (20 * M, 429, 0, 0),
+            (20 * M, 0, -428, 4),
+            (20 * M, 0, -429, 0),
+            (20 * M, 300, 300, 4),
+            (20 * M, 310, -310, 0),
+            (M - 1, 0, 0, 0),
+            (M, 0, 0, 4),
+            (200 * M - 1, 0, 0, 4),
+            (200 * M, 0, 0, 0),
+        ] {
+            let height = |index: i32| low + east * (index % 10) + south * (index / 10);
+            let map = Map::of_heights(10, (0..100).map(height).collect());
+            assert_eq!(plains(&map).concat().len(), vertices, "{low} {east} {south}");
+        }
+    }
+
+    #[test]
+    fn floors_of_valleys_lie_below_both_sides_and_plains_are_large() {
+        let land = Land::new(0);
+        let half = 8192 * M;
+        let mut found = Surroundings::new(&land);
+        found.widen(half);
+        let map = Map::of(&land, COARSE, (-half, -half), (half, half)).smoothed(1);
+        let side = map.side() as i32;
+        let height = |x: i32, z: i32| map.height((z * side + x) as usize);
+        let mut expected = Vec::new();
+        for (x, z) in (4..side - 4).flat_map(|z| (4..side - 4).map(move |x| (x, z))) {
+            let floor = height(x, z);
+            let is_valley = [(3, 0), (0, 3), (2, 2), (2, -2)].into_iter().any(|(east, south)| {
+                let sides = [height(x + east, z + south), height(x - east, z - south)];
+                sides.iter().all(|side| side - floor >= 14 * M)
+            });
+            if floor > 0 && is_valley {
+                expected.push(((32 * M * x - half, 32 * M * z - half), floor));
+            }
+        }
+        let mut floors: Vec<_> = found.floors.iter().flat_map(|floor| floor.vertices.clone()).collect();
+        floors.sort_unstable();
+        expected.sort_unstable();
+        assert!(!floors.is_empty() && floors == expected, "{} of {}", floors.len(), expected.len());
+        assert!(!found.plains.is_empty());
+        assert!(found.plains.iter().all(|plain| plain.vertices.len() >= LEAST));
+    }
+
+    #[test]
+    fn a_plain_is_outlined_on_the_fine_grid_and_192_metres_around_it() {
+        let land = Land::new(1);
+        let coarse = Map::of_heights(121, vec![0; 121 * 121]);
+        let (low, high) = (-192 * M, (120 * 32 + 192) * M);
+        let fine = Map::of(&land, FINE, (low, low), (high, high)).smoothed(2);
+        let place = |index: &usize| fine.place(*index);
+        let places = |region: &Vec<usize>| region.iter().map(place).collect::<Vec<_>>();
+        let expected: Vec<_> = plains(&fine).iter().map(places).collect();
+        assert!(outlined(&land, &coarse, &[0, 121 * 121 - 1]) == expected);
+        assert_eq!((SURVEYED, fine.spacing()), (16 * M, 16 * M));
+    }
+}

@@ -10,7 +10,7 @@ use crate::process;
 use crate::records::{self, record::Record, record::Row};
 use crate::source::Files;
 use anyhow::{Context, Result, bail};
-use bars::{Bar, Limit, figures};
+use bars::{Bar, figures};
 use toml::{Table, Value};
 
 /// The table of findings.
@@ -27,32 +27,23 @@ pub fn rows(run: &mut Run) -> Result<Vec<Bar>> {
     let unsettled: Vec<_> = findings.iter().filter_map(|finding| finding.fault(&files)).collect();
     let blind = rehearsal::green_without_looking();
     let near_misses = NearMisses::of(run)?;
+    let count = |count: usize| Some(count as f64);
+    let (unfit, withdrawn) = (count(records::unfit_quotes()?), count(records::withdrawn()?));
+    let differing = count(record_runs::faults()?.len());
     let mut rows = vec![
-        at_most("findings of severity 2+ without a fix or an answer", Some(unsettled.len() as f64), "", 0.0),
-        at_most(
-            "records quoted in the README: stale, dirty, or of a single run",
-            Some(records::unfit_quotes()? as f64),
-            "",
-            0.0,
-        ),
-        at_most(
-            "rows of records that differ from their runs in runs.csv",
-            Some(record_runs::faults()?.len() as f64),
-            "",
-            0.0,
-        ),
+        Bar::none("findings of severity 2+ without a fix or an answer", count(unsettled.len())),
+        Bar::none("records quoted in the README: stale, dirty, or of a single run", unfit),
+        Bar::none("rows of records that differ from their runs in runs.csv", differing),
         Bar::reported(
             "figures of the README that are withdrawn until they are measured again",
-            Some(records::withdrawn()? as f64),
+            withdrawn,
             "",
         ),
-        at_most(
+        Bar::none(
             "ci steps that can be green without running",
-            blind.as_ref().map(|blind| blind.len() as f64),
-            "",
-            0.0,
+            blind.as_ref().and_then(|all| count(all.len())),
         ),
-        at_most("near-miss controls that pass a golden", near_misses.passed(), "", 0.0),
+        Bar::none("near-miss controls that pass a golden", near_misses.passed()),
     ];
     rows.extend(recorded(&records::of("streaming")?, &records::of("culling")?));
     run.notes.push(format!(
@@ -65,10 +56,6 @@ pub fn rows(run: &mut Run) -> Result<Vec<Bar>> {
     run.notes.extend(unsettled.iter().map(|fault| format!("Open: {fault}.")));
     run.notes.extend(blind.into_iter().flatten().map(|name| format!("Green without looking: {name}.")));
     Ok(rows)
-}
-
-fn at_most(what: &str, figure: Option<f64>, unit: &'static str, limit: f64) -> Bar {
-    Bar::new(what, figure, unit, Limit::AtMost(limit))
 }
 
 /// Near misses of which each must have been compared, by a part of its name.
@@ -125,40 +112,19 @@ impl NearMisses {
 /// Rows that other measurements have recorded, judged here by the worst of the machines. A machine
 /// without the row leaves no figure.
 fn recorded(streaming: &[Record], culling: &[Record]) -> Vec<Bar> {
-    let lowest = |records: &[Record], what: &str| figures::least(records.iter().map(|one| number(one, what)));
-    let highest =
-        |records: &[Record], what: &str| figures::worst(records.iter().map(|one| number(one, what)));
-    let least =
-        |what: &str, figure, unit: &'static str, limit| Bar::new(what, figure, unit, Limit::AtLeast(limit));
+    let lowest = |what: &str| figures::least(streaming.iter().map(|one| number(one, what)));
+    let hidden = "hidden chunks of grass that survive the chunk and block tests";
+    let goodput = "five times the capacity: goodput over peak, worst round";
+    let cached = lowest("whole frame to verified chunk, cached level");
+    let hot = lowest("whole frame to verified chunk, hot level");
+    let hidden = figures::worst(culling.iter().map(|one| number(one, hidden)));
+    let goodput = figures::least(streaming.iter().map(|one| least_of_runs(one, goodput)));
+    let over_best = "goodput at five times capacity over the best rate ever shown, worst round";
     vec![
-        least(
-            "whole-frame decode, cached level, one thread",
-            lowest(streaming, "whole frame to verified chunk, cached level"),
-            "GB/s",
-            1.2,
-        ),
-        least(
-            "whole-frame decode, hot level, one thread",
-            lowest(streaming, "whole frame to verified chunk, hot level"),
-            "GB/s",
-            3.0,
-        ),
-        at_most(
-            "chunks of hidden grass that survive the chunk and block stage",
-            highest(culling, "hidden chunks of grass that survive the chunk and block tests"),
-            "%",
-            20.0,
-        ),
-        least(
-            "goodput at five times capacity over the best rate ever shown, worst round",
-            figures::least(
-                streaming
-                    .iter()
-                    .map(|one| least_of_runs(one, "five times the capacity: goodput over peak, worst round")),
-            ),
-            "",
-            0.85,
-        ),
+        Bar::at_least("whole-frame decode, cached level, one thread", cached, "GB/s", 1.2),
+        Bar::at_least("whole-frame decode, hot level, one thread", hot, "GB/s", 3.0),
+        Bar::at_most("chunks of hidden grass that survive the chunk and block stage", hidden, "%", 20.0),
+        Bar::at_least(over_best, goodput, "", 0.85),
     ]
 }
 

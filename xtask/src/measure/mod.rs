@@ -26,56 +26,32 @@ use run::Run;
 pub use run::rows as rows_of;
 use std::path::Path;
 
-/// A measurement: the programs that it builds, and the rows that it makes with them.
-struct Measurement {
-    name: &'static str,
-    programs: &'static [&'static str],
-    rows: fn(&mut Run) -> Result<Vec<Bar>>,
-}
+/// A measurement: its name, the programs that it builds, and the rows that it makes with them.
+type Measurement = (&'static str, &'static [&'static str], fn(&mut Run) -> Result<Vec<Bar>>);
 
 /// A measurement by `tombolo-lab`, with the sample sizes that the bars require.
 macro_rules! by_lab {
     ($name:literal, $arguments:expr) => {
-        Measurement {
-            name: $name,
-            programs: &["tombolo-lab"],
-            rows: |run| {
-                let report = run.lab($name, &$arguments)?;
-                Ok(run.rows_of($name, &report))
-            },
-        }
+        ($name, &["tombolo-lab"], |run| {
+            let report = run.lab($name, &$arguments)?;
+            Ok(run.rows_of($name, &report))
+        })
     };
 }
 
 const MEASUREMENTS: [Measurement; 16] = [
-    Measurement { name: "audit", programs: &[], rows: audit::rows },
-    Measurement { name: "code", programs: &[], rows: code::rows },
-    Measurement {
-        name: "end-to-end",
-        programs: &["tombolo-server", "tombolo-view", "tombolo-load"],
-        rows: end_to_end::rows,
-    },
-    Measurement { name: "heightfield", programs: &["tombolo-lab"], rows: heightfield::rows },
-    Measurement {
-        name: "streaming",
-        programs: &["tombolo-lab", "tombolo-server", "tombolo-server-bench"],
-        rows: streaming::rows,
-    },
-    Measurement {
-        name: "resilience",
-        programs: &["tombolo-server", "tombolo-server-bench", "tombolo-view"],
-        rows: resilience::rows,
-    },
-    Measurement { name: "fuzz", programs: &[], rows: fuzz::rows },
-    Measurement { name: "websocket", programs: &[], rows: websocket::rows },
-    Measurement { name: "mutants", programs: &[], rows: mutants::rows },
-    Measurement { name: "land", programs: &["tombolo-lab"], rows: land::rows },
-    Measurement {
-        name: "cluster",
-        programs: &["tombolo-server", "tombolo-load", "tombolo-simulate"],
-        rows: cluster::rows,
-    },
-    Measurement { name: "soak", programs: &["tombolo-server", "tombolo-load"], rows: cluster::soak },
+    ("audit", &[], audit::rows),
+    ("code", &[], code::rows),
+    ("end-to-end", &["tombolo-server", "tombolo-view", "tombolo-load"], end_to_end::rows),
+    ("heightfield", &["tombolo-lab"], heightfield::rows),
+    ("streaming", &["tombolo-lab", "tombolo-server", "tombolo-server-bench"], streaming::rows),
+    ("resilience", &["tombolo-server", "tombolo-server-bench", "tombolo-view"], resilience::rows),
+    ("fuzz", &[], fuzz::rows),
+    ("websocket", &[], websocket::rows),
+    ("mutants", &[], mutants::rows),
+    ("land", &["tombolo-lab"], land::rows),
+    ("cluster", &["tombolo-server", "tombolo-load", "tombolo-simulate"], cluster::rows),
+    ("soak", &["tombolo-server", "tombolo-load"], cluster::soak),
     by_lab!("terrain", ["lod", "--poses", "50", "--views", "200"]),
     by_lab!("pom", ["pom", "--rays", "2000000"]),
     by_lab!("culling", ["culling", "--poses", "300"]),
@@ -91,16 +67,16 @@ pub fn run(name: &str) -> Result<()> {
     process::use_dist_profile();
     // The name of this measurement in older records and scripts.
     let name = if name == "first-voyage" { "end-to-end" } else { name };
-    let Some(measurement) = MEASUREMENTS.iter().find(|known| known.name == name) else {
-        let known = MEASUREMENTS.map(|known| known.name).join(", ");
+    let Some((_, programs, rows)) = MEASUREMENTS.into_iter().find(|known| known.0 == name) else {
+        let known = MEASUREMENTS.map(|known| known.0).join(", ");
         bail!("measure: `{name}` is not known; give one of: {known}")
     };
-    if !measurement.programs.is_empty() {
+    if !programs.is_empty() {
         setup::run(Extent::Headless)?;
-        process::run(process::build(measurement.programs)).context("measure: the build failed")?;
+        process::run(process::build(programs)).context("measure: the build failed")?;
     }
     let mut run = Run::new(name).context("measure")?;
-    let rows = match (measurement.rows)(&mut run) {
+    let rows = match rows(&mut run) {
         Ok(rows) => rows,
         Err(error) => {
             // A run that a person ended says nothing of what it measures.
@@ -136,7 +112,7 @@ mod tests {
     #[test]
     fn every_measurement_says_what_makes_its_record_stale() {
         for measurement in super::MEASUREMENTS {
-            assert!(crate::records::is_known(measurement.name), "{}", measurement.name);
+            assert!(crate::records::is_known(measurement.0), "{}", measurement.0);
         }
     }
 

@@ -170,7 +170,8 @@ fn bake(device: &wgpu::Device, queue: &wgpu::Queue, textures: [&wgpu::Texture; 3
     let [colours, shapes, heights] = views.each_ref().map(wgpu::BindingResource::TextureView);
     let resources = [order.as_entire_binding(), texels.as_entire_binding(), colours, shapes, heights];
     let bindings = bind::bind(device, shader.name, &layout, &resources);
-    let [grow, settle] = compute_pipelines(device, &shader, &[&layout], ["grow", "settle"]);
+    let entry_points = ["evaluate_recipe", "derive_and_store"];
+    let [evaluate, store] = compute_pipelines(device, &shader, &[&layout], entry_points);
     for (layer, custom) in custom.iter().enumerate() {
         let custom = custom.as_ref().filter(|custom| custom.texels.len() == MATERIAL_TEXELS);
         let bake = Bake {
@@ -189,10 +190,10 @@ fn bake(device: &wgpu::Device, queue: &wgpu::Queue, textures: [&wgpu::Texture; 3
             pass.set_bind_group(0, &bindings, &[]);
             let columns = MATERIAL_SIZE.div_ceil(BAKE_WORKGROUP);
             if custom.is_none() {
-                pass.set_pipeline(&grow);
+                pass.set_pipeline(&evaluate);
                 pass.dispatch_workgroups(columns, MATERIAL_SIZE, 1);
             }
-            pass.set_pipeline(&settle);
+            pass.set_pipeline(&store);
             pass.dispatch_workgroups(columns, MATERIAL_SIZE, 1);
         }
         // One submission each: the next set reuses the buffers.

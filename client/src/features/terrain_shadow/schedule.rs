@@ -43,7 +43,7 @@ pub struct ShadowBatch<'a> {
 #[derive(Clone, Debug)]
 pub struct Schedule {
     /// By slot: the epoch of its shadow, 0 for none.
-    found: Vec<u64>,
+    traced: Vec<u64>,
     /// Counts changes of the drawn chunks and of the sun.
     epoch: u64,
     /// Drawn chunks, sorted.
@@ -51,7 +51,7 @@ pub struct Schedule {
     sun: Vec3,
     table: PageTable,
     /// Whether the GPU lacks the current table.
-    is_fresh: bool,
+    table_changed: bool,
 }
 
 impl Schedule {
@@ -59,19 +59,19 @@ impl Schedule {
     #[must_use]
     pub fn new(slots: u32) -> Self {
         Self {
-            found: vec![0; slots as usize],
+            traced: vec![0; slots as usize],
             epoch: 1,
             pages: Vec::new(),
             sun: Vec3::Y,
             table: PageTable::default(),
-            is_fresh: true,
+            table_changed: true,
         }
     }
 
     /// Marks a slot's shadow as unknown: it holds another chunk.
     pub fn forget(&mut self, slot: u32) {
-        if let Some(found) = self.found.get_mut(slot as usize) {
-            *found = 0;
+        if let Some(traced) = self.traced.get_mut(slot as usize) {
+            *traced = 0;
         }
     }
 
@@ -80,9 +80,9 @@ impl Schedule {
         let mut pages: Vec<Page> = candidates.iter().map(|candidate| candidate.page).collect();
         pages.sort_unstable();
         if pages != self.pages {
-            self.table = PageTable::of(&pages, self.found.len() as u32);
+            self.table = PageTable::of(&pages, self.traced.len() as u32);
             self.pages = pages;
-            self.is_fresh = true;
+            self.table_changed = true;
             self.epoch += 1;
         }
         // By bits, so that NaN equals itself.
@@ -108,7 +108,7 @@ impl Schedule {
             .enumerate()
             .filter(|(_, candidate)| !self.is_current(candidate.page.slot))
             .map(|(nearness, candidate)| {
-                (!candidate.is_visible, self.found_in(candidate.page.slot), nearness)
+                (!candidate.is_visible, self.traced_in(candidate.page.slot), nearness)
             })
             .collect();
         waiting.sort_unstable();
@@ -121,21 +121,21 @@ impl Schedule {
         for (_, _, nearness) in waiting {
             let page = &candidates[nearness].page;
             targets.push(self.table.target(page));
-            if let Some(found) = self.found.get_mut(page.slot as usize) {
-                *found = self.epoch;
+            if let Some(traced) = self.traced.get_mut(page.slot as usize) {
+                *traced = self.epoch;
             }
         }
-        let table = std::mem::take(&mut self.is_fresh).then_some(&self.table);
+        let table = std::mem::take(&mut self.table_changed).then_some(&self.table);
         Some(ShadowBatch { sun: sun_params(self.sun, &self.table), table, targets })
     }
 
-    fn found_in(&self, slot: u32) -> u64 {
+    fn traced_in(&self, slot: u32) -> u64 {
         // A slot beyond the pool never has a shadow.
-        self.found.get(slot as usize).copied().unwrap_or(self.epoch)
+        self.traced.get(slot as usize).copied().unwrap_or(self.epoch)
     }
 
     fn is_current(&self, slot: u32) -> bool {
-        self.found_in(slot) == self.epoch
+        self.traced_in(slot) == self.epoch
     }
 }
 

@@ -6,7 +6,8 @@ use shaders::layout::GRASS_RANGE_M;
 /// Share of the view distance that carries plants: the land beyond is dissolved.
 pub const REACHED: f64 = 0.8;
 
-/// Culling method. Each one removes at least what the previous one removes.
+/// Culling method. All keep the range, and all but the first the frustum; the last two remove the
+/// same clumps.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 pub enum Cull {
     /// All within their range (T0).
@@ -15,10 +16,10 @@ pub enum Cull {
     Frustum,
     /// Plus a ray march over the noise between vertices (T2). Inexact: drops visible plants
     Noise,
-    /// Plus a ray march over the drawn vertices, with five points per chunk (T3 as first
-    /// published). Inexact: drops visible plants
+    /// Plus a ray march over the drawn vertices, with five points per chunk. Inexact: drops visible
+    /// plants
     March,
-    /// Plus a conservative test against the drawn triangles (T3)
+    /// Plus a conservative test against the drawn triangles, which drops no visible plant (T3)
     Exact,
     /// The same, hierarchical: whole blocks first (T4)
     #[default]

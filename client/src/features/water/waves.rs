@@ -41,7 +41,7 @@ impl WaveMap {
                 ..Default::default()
             })
         };
-        let entry_points = ["bake_waves", "shrink_waves"];
+        let entry_points = ["bake_waves", "reduce_waves"];
         let [bake, shrink] = derived_compute_pipelines(device, &SHADERS.bake_waves, entry_points);
         let mut encoder =
             device.create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some("bake waves") });

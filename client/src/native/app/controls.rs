@@ -25,7 +25,7 @@ const ORBIT_DEG: f64 = 3.0;
 /// The camera of the window and its controls.
 #[derive(Debug)]
 pub struct Controls {
-    /// With the wished pose: coarse land that covers it raises the eye until finer land arrives.
+    /// With the requested pose: coarse land that covers it raises the eye until finer land arrives.
     fly: Fly,
     /// Least height of the eye over the land below it, metres.
     floor_m: f64,
@@ -113,7 +113,7 @@ impl Controls {
         self.has_moved
     }
 
-    /// Where the camera is: at its wished pose, or above it on the land that covers that.
+    /// Where the camera is: at its requested pose, or above it on the land that covers that.
     #[must_use]
     pub fn pose(&self) -> Pose {
         lifted(self.fly.pose, self.floor_m)
@@ -172,7 +172,6 @@ impl Controls {
             MouseScrollDelta::PixelDelta(pixels) => pixels.y / 40.0,
         };
         self.fly.speed_m = (self.fly.speed_m * NOTCH.powf(notches)).clamp(*SPEED_M.start(), *SPEED_M.end());
-        self.has_moved = true;
     }
 
     /// The window lost the keyboard focus: key releases will be missed.
@@ -313,7 +312,7 @@ mod tests {
     }
 
     #[test]
-    fn keys_drags_wheel_and_places_move_and_a_start_does_not() {
+    fn keys_drags_and_places_move_and_a_start_and_the_wheel_do_not() {
         let start: Pose = "0,100,0,0,0".parse().unwrap();
         let mut controls = controls();
         controls.pointer(1.0, 1.0);
@@ -321,13 +320,14 @@ mod tests {
         controls.key(KeyCode::KeyO, ElementState::Pressed);
         controls.step(1.0, true, |_| None);
         assert!(controls.pose() != start && !controls.has_moved(), "it circles by itself");
-        let moves: [fn(&mut Controls); 4] = [
+        controls.wheel(MouseScrollDelta::LineDelta(0.0, 1.0));
+        assert!(!controls.has_moved(), "it sets the speed");
+        let moves: [fn(&mut Controls); 3] = [
             |controls| controls.key(KeyCode::KeyA, ElementState::Pressed),
             |controls| {
                 controls.button(MouseButton::Left, ElementState::Pressed);
                 controls.pointer(9.0, 9.0);
             },
-            |controls| controls.wheel(MouseScrollDelta::LineDelta(0.0, 1.0)),
             |controls| controls.move_to("0,50,0,0,0".parse().unwrap()),
         ];
         for moves in moves {

@@ -44,11 +44,11 @@ pub const LINES: [(&str, &str); 14] = [
     ("Esc twice, Ctrl Q", "quit"),
 ];
 
-/// What a pressed key does, by its place on the keyboard; `writes_q` is whether it writes a Q in
-/// the user's layout. While a text field has the focus, keys that write do nothing else.
+/// What a pressed key does, by its place on the keyboard; `text` is what it writes in the user's
+/// layout. While a text field has the focus, keys that write do nothing else.
 #[must_use]
-pub fn action(code: KeyCode, writes_q: bool, has_control: bool, is_typing: bool) -> Option<Action> {
-    if writes_q && has_control {
+pub fn action(code: KeyCode, text: &str, has_control: bool, is_typing: bool) -> Option<Action> {
+    if text.eq_ignore_ascii_case("q") && has_control {
         return Some(Action::Quit);
     }
     match code {
@@ -56,6 +56,7 @@ pub fn action(code: KeyCode, writes_q: bool, has_control: bool, is_typing: bool)
         KeyCode::F11 => return Some(Action::Fullscreen),
         KeyCode::F12 => return Some(Action::Screenshot),
         _ if is_typing || has_control => return None,
+        _ if text == "?" => return Some(Action::Help),
         _ => {}
     }
     let digits = [
@@ -75,7 +76,7 @@ pub fn action(code: KeyCode, writes_q: bool, has_control: bool, is_typing: bool)
         KeyCode::Escape => Some(Action::AskQuit),
         KeyCode::Space => Some(Action::Pause),
         KeyCode::KeyR => Some(Action::ResetView),
-        KeyCode::KeyH | KeyCode::Slash => Some(Action::Help),
+        KeyCode::KeyH => Some(Action::Help),
         _ => None,
     }
 }
@@ -86,21 +87,28 @@ mod tests {
 
     #[test]
     fn escape_leaves_a_text_field_before_it_quits_and_control_q_always_quits() {
-        assert_eq!(action(KeyCode::Escape, false, false, true), None);
-        assert_eq!(action(KeyCode::Escape, false, false, false), Some(Action::AskQuit));
-        assert_eq!(action(KeyCode::KeyQ, true, true, true), Some(Action::Quit));
-        assert_eq!(action(KeyCode::KeyQ, true, false, false), None, "Q alone flies down");
+        assert_eq!(action(KeyCode::Escape, "", false, true), None);
+        assert_eq!(action(KeyCode::Escape, "", false, false), Some(Action::AskQuit));
+        assert_eq!(action(KeyCode::KeyQ, "q", true, true), Some(Action::Quit));
+        assert_eq!(action(KeyCode::KeyQ, "q", false, false), None, "Q alone flies down");
         // On an AZERTY keyboard A and Q have changed places.
-        assert_eq!(action(KeyCode::KeyA, true, true, true), Some(Action::Quit));
-        assert_eq!(action(KeyCode::KeyQ, false, true, true), None, "selects all of a text field");
+        assert_eq!(action(KeyCode::KeyA, "Q", true, true), Some(Action::Quit));
+        assert_eq!(action(KeyCode::KeyQ, "a", true, true), None, "selects all of a text field");
     }
 
     #[test]
     fn digits_go_to_the_places_in_order_and_write_into_text_fields() {
-        assert_eq!(action(KeyCode::Digit1, false, false, false), Some(Action::Go(Place::Beach)));
-        assert_eq!(action(KeyCode::Digit8, false, false, false), Some(Action::Go(Place::Highest)));
-        assert_eq!(action(KeyCode::Digit9, false, false, false), None);
-        assert_eq!(action(KeyCode::Digit1, false, false, true), None);
-        assert_eq!(action(KeyCode::Digit1, false, true, false), None);
+        assert_eq!(action(KeyCode::Digit1, "", false, false), Some(Action::Go(Place::Beach)));
+        assert_eq!(action(KeyCode::Digit8, "", false, false), Some(Action::Go(Place::Highest)));
+        assert_eq!(action(KeyCode::Digit9, "", false, false), None);
+        assert_eq!(action(KeyCode::Digit1, "", false, true), None);
+        assert_eq!(action(KeyCode::Digit1, "", true, false), None);
+    }
+
+    #[test]
+    fn a_question_mark_shows_the_keys_wherever_the_layout_has_it() {
+        assert_eq!(action(KeyCode::Minus, "?", false, false), Some(Action::Help));
+        assert_eq!(action(KeyCode::Slash, "-", false, false), None);
+        assert_eq!(action(KeyCode::Minus, "?", false, true), None, "writes into a text field");
     }
 }

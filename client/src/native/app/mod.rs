@@ -24,11 +24,13 @@ use winit::window::WindowId;
 /// Opens the window and runs until it is closed.
 pub fn run(args: &Args, started: Instant) -> anyhow::Result<()> {
     args.stats.as_deref().map_or(Ok(()), |path| check_output("--stats", path))?;
-    let event_loop = EventLoop::new().map_err(|_| {
-        // winit's cause names its source file; on every system it means this.
+    let event_loop = EventLoop::new().map_err(|error| {
+        // Of several lines: the first one states the cause, without a display and without a library.
+        let error = error.to_string();
+        let cause = error.lines().next().unwrap_or_default();
         anyhow!(
-            "no display to open a window on: set DISPLAY or WAYLAND_DISPLAY, or draw into a \
-            file with --shot FILE.png"
+            "cannot open a window ({cause}): set DISPLAY or WAYLAND_DISPLAY to a display, install its \
+             libraries, or draw into a file with --shot FILE.png"
         )
     })?;
     let mut app = App {

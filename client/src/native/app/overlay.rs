@@ -36,6 +36,15 @@ impl Overlay {
         Self { context, input, painter }
     }
 
+    /// The overlay on a new device: open groups, positions and the size of text stay.
+    #[must_use]
+    pub fn reopened(&self, gpu: &Gpu, window: &Window, format: wgpu::TextureFormat) -> Self {
+        let new = Self::new(gpu, window, format, self.context.zoom_factor().into());
+        let memory = self.context.memory(Clone::clone);
+        new.context.memory_mut(|new| *new = memory);
+        new
+    }
+
     /// Whether a text field has the focus.
     #[must_use]
     pub fn is_typing(&self) -> bool {

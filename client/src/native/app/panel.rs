@@ -47,7 +47,7 @@ pub struct Readings<'a> {
     pub local: Option<&'static str>,
     /// The session.
     pub link: &'a Link,
-    /// Why the server rejected the view, if it did.
+    /// Why the server refused the view, if it did.
     pub refusal: Option<&'a str>,
     /// Time since the start.
     pub now: Duration,
@@ -191,13 +191,13 @@ fn connection(readings: &Readings<'_>) -> String {
         Link::Connecting => "connecting".to_owned(),
         Link::Connected(server) => match readings.refusal {
             None => format!("connected to {server}"),
-            Some(cause) => format!("connected to {server}, which rejected the view: {cause}"),
+            Some(cause) => format!("connected to {server}, which refused the view: {cause}"),
         },
         Link::Waiting { cause, retry_at } => match retry_at.saturating_sub(readings.now) {
             Duration::ZERO => format!("{cause}; connecting again"),
             left => format!("{cause}; next attempt in {:.1} s", left.as_secs_f64()),
         },
-        Link::Refused(cause) => cause.clone(),
+        Link::GivenUp(cause) => cause.clone(),
     }
 }
 

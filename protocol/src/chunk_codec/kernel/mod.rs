@@ -296,6 +296,7 @@ pub(super) const fn unzigzag(value: u32) -> i32 {
 mod tests {
     use super::*;
     use proptest::prelude::*;
+    use std::collections::BTreeSet;
     use terrain::hash::mix;
 
     fn noise(seed: u32, keep: u32) -> Box<Heights> {
@@ -320,6 +321,12 @@ mod tests {
     fn this_machine_has_the_portable_kernel_and_the_best_is_available() {
         assert_eq!(Kernel::available().next(), Some(Kernel::PORTABLE));
         assert!(Kernel::available().any(|kernel| kernel == Kernel::best()));
+    }
+
+    #[test]
+    fn every_kernel_has_a_name_of_its_own() {
+        let names: BTreeSet<_> = Kernel::available().map(|kernel| kernel.to_string()).collect();
+        assert!(names.len() == Kernel::available().count() && names.contains("portable"), "{names:?}");
     }
 
     #[test]

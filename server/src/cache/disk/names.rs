@@ -88,5 +88,9 @@ mod tests {
         }
         // 20 per shard; 50 would be more than six standard deviations away.
         assert!(counts.iter().all(|count| (1..50).contains(count)), "{counts:?}");
+        // A path that is of no shard belongs to the first one.
+        for (path, shard) in [("ff/a", 255), ("100/a", 0), ("fg/a", 0), ("a", 0), ("", 0)] {
+            assert_eq!(shard_of(Path::new(path)), shard, "{path}");
+        }
     }
 }

@@ -8,6 +8,8 @@ use protocol::chunk_codec;
 use protocol::limits::MAX_CHUNK_FRAME;
 use std::fs;
 use std::fs::File;
+use std::io::Write;
+use std::sync::Mutex;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::{Instant, SystemTime};
 use terrain::ChunkKey;
@@ -80,6 +82,10 @@ async fn a_frame_is_read_after_a_restart_under_its_name_only() {
     assert_eq!(metrics.disk_cache.dropped.get(), 1, "another server may have locked the folder");
 
     let (second, metrics) = disk(&folder);
+    // Its thread counts the file though nothing is written.
+    while metrics.disk_cache.bytes.get() != 4096 {
+        std::thread::yield_now();
+    }
     assert_eq!(second.read(id(1), Delivery::Exact, |bytes| bytes == frame(1)), Some(frame(1)));
     assert_eq!(second.read(id(2), Delivery::Exact, |_| true), None);
     assert_eq!(second.read(id(1), Delivery::SeedOnly, |_| true), None);
@@ -228,6 +234,103 @@ fn the_least_recently_used_files_are_evicted_to_the_budget() {
     let kept = files(&folder).len() as u64;
     assert!(kept * 4096 <= budget / 2 && kept > 0);
     assert_eq!(metrics.disk_cache.bytes.get() as u64, kept * 4096);
+}
+
+#[test]
+fn an_eviction_frees_an_eighth_of_a_share_and_leaves_what_is_no_file() {
+    let folder = Folder::new();
+    // Eight blocks per shard.
+    let (mut writer, metrics) = writer(&folder, 8 * 4096 * names::SHARDS as u64);
+    let names = FrameNames::new(&WORLD);
+    let of_one_shard = (0..).filter(|x| names::shard_of(&names.path(id(*x), Delivery::Exact)) == 7);
+    let frames: Vec<i32> = of_one_shard.take(9).collect();
+    let now = Instant::now();
+    put(&mut writer, frames[0], now);
+    let foreign = folder.path(id(frames[0])).with_file_name("foreign");
+    fs::create_dir(&foreign).unwrap();
+    for (x, files) in frames[1..].iter().zip([2, 3, 4, 5, 6, 7, 8, 7]) {
+        put(&mut writer, *x, now);
+        assert_eq!(metrics.disk_cache.bytes.get(), 4096 * files);
+    }
+    assert_eq!((metrics.disk_cache.evictions.get(), metrics.disk_cache.io_errors.get()), (2, 0));
+    assert!(foreign.is_dir());
+    assert_eq!(files(&folder).len(), 7 + 1);
+
+    // Nor is it counted after a restart.
+    drop(writer);
+    let (mut second, metrics) = self::writer(&folder, 1 << 30);
+    second.try_open(now);
+    while second.has_uncounted() {
+        second.count_next();
+    }
+    assert_eq!((metrics.disk_cache.bytes.get(), metrics.disk_cache.up.get()), (7 * 4096, 1));
+}
+
+#[test]
+fn a_shard_that_cannot_be_listed_makes_the_folder_unavailable() {
+    let folder = Folder::new();
+    let (mut writer, metrics) = writer(&folder, 1 << 30);
+    writer.try_open(Instant::now());
+    // Shards that do not exist yet are empty.
+    writer.count_next();
+    assert_eq!((metrics.disk_cache.up.get(), metrics.disk_cache.io_errors.get()), (1, 0));
+    fs::write(folder.0.join(names::shard_name(1)), "in the way").unwrap();
+    writer.count_next();
+    assert_eq!((metrics.disk_cache.up.get(), metrics.disk_cache.io_errors.get()), (0, 1));
+}
+
+/// Lines of the log.
+#[derive(Clone, Default)]
+struct Log(Arc<Mutex<Vec<u8>>>);
+
+impl Log {
+    fn lines(&self) -> Vec<String> {
+        String::from_utf8_lossy(&self.0.lock().unwrap()).lines().map(String::from).collect()
+    }
+}
+
+impl Write for Log {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.0.lock().unwrap().write(bytes)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+#[test]
+fn an_outage_is_logged_once_with_its_cause_and_its_end() {
+    // The second cause is a text of the system.
+    for (is_in_the_way, cause) in [(false, "its parent folder does not exist"), (true, "exists")] {
+        let parent = Folder::new();
+        let folder = Folder(parent.0.join("cache"));
+        if is_in_the_way {
+            fs::create_dir(&parent.0).unwrap();
+            fs::write(&folder.0, "in the way").unwrap();
+        }
+        let log = Log::default();
+        let copy = log.clone();
+        let lines = tracing_subscriber::fmt().with_writer(move || copy.clone()).with_ansi(false);
+        tracing::subscriber::with_default(lines.finish(), || {
+            let (mut writer, _) = writer(&folder, 1 << 30);
+            let now = Instant::now();
+            for minute in 0..3 {
+                put(&mut writer, 1, now + Duration::from_secs(60 * minute));
+                assert_eq!(log.lines().len(), 1, "{:?}", log.lines());
+            }
+            let line = &log.lines()[0];
+            assert!(line.contains("WARN") && line.contains(cause), "{line}");
+            if is_in_the_way {
+                fs::remove_file(&folder.0).unwrap();
+            } else {
+                fs::create_dir(&parent.0).unwrap();
+            }
+            put(&mut writer, 1, now + Duration::from_secs(180));
+            assert!(log.lines()[1].contains("available again"), "{:?}", log.lines());
+            assert_eq!(log.lines().len(), 2);
+        });
+    }
 }
 
 #[test]

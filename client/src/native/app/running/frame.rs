@@ -7,7 +7,7 @@ use crate::features::terrain_shadow::pass::PER_FRAME;
 use crate::features::vegetation::gpu_cull::CullStats;
 use crate::features::vegetation::stats::StatsCopy;
 use crate::frame::{FrameData, TRIANGLES_PER_INSTANCE};
-use crate::gpu::surface::{NextTexture, WindowSurface};
+use crate::gpu::surface::NextTexture;
 use crate::gpu::{GpuError, Image, OffscreenTarget};
 use crate::lod::clearance;
 use crate::native::app::capture;
@@ -47,13 +47,14 @@ impl Running {
         let (texture, view) = match self.surface.next(&self.gpu) {
             NextTexture::Ready(texture, view) => (texture, view),
             NextTexture::Skip => {
-                self.resume_at = Instant::now() + HIDDEN_PAUSE;
+                self.last = Instant::now();
+                self.resume_at = self.last + HIDDEN_PAUSE;
                 return Ok(After::Continue);
             }
             NextTexture::Lost => {
                 let surface = self.gpu.instance.create_surface(Arc::clone(&self.window))?;
                 let size = self.window.inner_size();
-                self.surface = WindowSurface::new(&self.gpu, surface, (size.width, size.height))?;
+                self.surface.replace(&self.gpu, surface, (size.width, size.height))?;
                 return Ok(After::Continue);
             }
         };
@@ -90,7 +91,7 @@ impl Running {
         renderer.draw(gpu, &frame, &mut encoder, &view);
         let now = Instant::now();
         // Also without the panel: nothing more will come.
-        if let Link::Refused(cause) = self.streamer.link() {
+        if let Link::GivenUp(cause) = self.streamer.link() {
             self.notices.show(cause, now, ANSWER_LASTS);
         }
         let has_notices = self.notices.shown(now).next().is_some();
@@ -144,12 +145,14 @@ impl Running {
                 (self.settings, self.narrow_view_m) = (self.first_settings, self.first_narrow_m);
             }
         }
-        let copy = self.copy_cull_stats(now, &mut encoder);
+        let copy = self.copy_cull_stats(now, frame.plants.is_some(), &mut encoder);
         self.gpu.queue.submit([encoder.finish()]);
         self.follow_cull_stats(copy);
         self.window.pre_present_notify();
         self.gpu.queue.present(texture);
-        self.times.push(step);
+        if self.frames > 0 {
+            self.times.push(step);
+        }
         self.frames += 1;
         self.rebuilds.frame_drawn();
         if self.first_image.is_none() {
@@ -160,7 +163,7 @@ impl Running {
             self.save_screenshot(&frame)?;
         }
         let is_last = self.args.frames.is_some_and(|frames| self.frames >= frames as usize) && self.may_end();
-        let vegetation = self.renderer.vegetation().filter(|_| self.settings.render.plants.any());
+        let vegetation = self.renderer.vegetation().filter(|_| frame.plants.is_some());
         if let Some(vegetation) = vegetation.filter(|_| is_last) {
             self.plants = vegetation.read_stats(&self.gpu).unwrap_or_default();
         }
@@ -204,10 +207,11 @@ impl Running {
         Ok(())
     }
 
-    /// Moves the camera by the time since the last frame, which it returns.
+    /// Moves the camera by the time since the last frame, which it returns. Zero before the first
+    /// frame: starting takes seconds.
     fn step(&mut self) -> Duration {
         let now = Instant::now();
-        let step = now - self.last;
+        let step = if self.frames == 0 { Duration::ZERO } else { now - self.last };
         self.last = now;
         let cache = self.streamer.cache();
         let ground = |pose: &Pose| {
@@ -220,14 +224,19 @@ impl Running {
     }
 
     /// Records a copy of the culling counts, if it is time for one and none is on its way.
-    fn copy_cull_stats(&mut self, now: Instant, encoder: &mut wgpu::CommandEncoder) -> Option<StatsCopy> {
+    fn copy_cull_stats(
+        &mut self,
+        now: Instant,
+        has_plants: bool,
+        encoder: &mut wgpu::CommandEncoder,
+    ) -> Option<StatsCopy> {
         let is_due =
             self.frames.is_multiple_of(CULL_STATS_INTERVAL) || now - self.plants_read > CULL_STATS_AGE;
         if !is_due || self.plants_coming.is_some() {
             return None;
         }
         self.plants_read = now;
-        let vegetation = self.renderer.vegetation().filter(|_| self.settings.render.plants.any());
+        let vegetation = self.renderer.vegetation().filter(|_| has_plants);
         if vegetation.is_none() {
             self.plants = CullStats::default();
         }

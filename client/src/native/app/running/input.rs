@@ -26,9 +26,8 @@ impl Running {
             WindowEvent::KeyboardInput { event: key, .. } => {
                 let PhysicalKey::Code(code) = key.physical_key else { return false };
                 let is_pressed = key.state == ElementState::Pressed;
-                let writes_q =
-                    matches!(&key.logical_key, Key::Character(text) if text.eq_ignore_ascii_case("q"));
-                let action = keys::action(code, writes_q, self.modifiers.control_key(), is_typing);
+                let text = if let Key::Character(text) = &key.logical_key { text.as_str() } else { "" };
+                let action = keys::action(code, text, self.modifiers.control_key(), is_typing);
                 match action.filter(|_| is_pressed && !key.repeat) {
                     Some(action) => return self.act(action),
                     // Key releases always pass, or a key would stay down under the panel.

@@ -3,8 +3,6 @@
 use super::{After, HINT_LASTS, Running};
 use crate::features::vegetation::gpu_cull::CullStats;
 use crate::gpu::GpuError;
-use crate::gpu::surface::WindowSurface;
-use crate::native::app::overlay::Overlay;
 use crate::renderer::{RenderOptions, Renderer};
 use std::sync::Arc;
 use std::time::Instant;
@@ -33,11 +31,11 @@ impl Running {
         let surface = self.gpu.instance.create_surface(Arc::clone(&self.window))?;
         self.gpu = pollster::block_on(self.gpu.reopen(Some(&surface)))?;
         let size = self.window.inner_size();
-        self.surface = WindowSurface::new(&self.gpu, surface, (size.width, size.height))?;
+        self.surface.replace(&self.gpu, surface, (size.width, size.height))?;
         let options =
             RenderOptions { size: self.surface.size(), format: self.surface.format, ..self.render_options };
         self.renderer = Renderer::with_materials(&self.gpu, &options, &self.materials);
-        self.overlay = Overlay::new(&self.gpu, &self.window, self.surface.format, self.args.ui_scale());
+        self.overlay = self.overlay.reopened(&self.gpu, &self.window, self.surface.format);
         let (gpu, renderer) = (&self.gpu, &mut self.renderer);
         self.streamer.cache().residents().for_each(|chunk| renderer.upload(gpu, chunk));
         self.adapter = self.gpu.name();
