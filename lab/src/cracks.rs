@@ -9,11 +9,10 @@
 //! Control: the same poses with an injected fault ([`Fault`]) must show magenta.
 
 use crate::headless_renderer::HeadlessRenderer;
-use crate::lod::screen::ViewCase;
 use crate::sample::{self, unit, word};
 use crate::world_builder::WorldBuilder;
 use client::cache::ChunkCache;
-use client::camera::Pose;
+use client::camera::{Pose, Projection};
 use client::features::post::{PostSettings, Tone};
 use client::frame::{Background, FrameData};
 use client::gpu::{GpuError, Image};
@@ -168,11 +167,19 @@ impl Viewpoint {
     /// How the picture is taken from a pose. Normals as colours: cheap, never without green, and
     /// never dissolved in haze.
     fn shot(&self, pose: Pose) -> ViewParams {
-        // A curve that keeps the background without green.
-        let post = PostSettings { tone: Tone::Filmic, ..PostSettings::default() };
-        let settings = RenderSettings { show: Show::Normals, post, ..RenderSettings::default() };
-        let case = ViewCase { pose, tolerance_px: self.tolerance_px };
-        ViewParams { view_distance_m: VIEW_DISTANCE_M, ..case.shot_of(SIZE, settings) }
+        ViewParams {
+            pose,
+            projection: Projection { fov_deg: 60.0, width: SIZE.0, height: SIZE.1 },
+            view_distance_m: VIEW_DISTANCE_M,
+            tolerance_px: self.tolerance_px,
+            time_s: 0.0,
+            // A curve that keeps the background without green.
+            settings: RenderSettings {
+                show: Show::Normals,
+                post: PostSettings { tone: Tone::Filmic, ..PostSettings::default() },
+                ..RenderSettings::default()
+            },
+        }
     }
 
     /// Selects chunks, uploads the world and builds the frame.

@@ -11,7 +11,7 @@ pub fn without_tests(text: &str) -> impl Iterator<Item = (usize, &str)> {
 
 /// Whether two versions of a file have the same code, apart from tests and lines of comments.
 pub fn have_equal_code(one: &str, other: &str) -> bool {
-    let is_code = |line: &&str| !line.trim_start().starts_with("//");
+    let is_code = |line: &&str| !line.trim().is_empty() && !line.trim_start().starts_with("//");
     let lines = |text| without_tests(text).map(|(_, line)| line).filter(is_code);
     lines(one).eq(lines(other))
 }
@@ -26,6 +26,7 @@ mod tests {
         let one = file("fn a() {}", "    fn b() {}");
         assert!(have_equal_code(&one, &file("fn a() {}", "    fn c() {}")));
         assert!(have_equal_code(&one, &file("/// Does nothing.\nfn a() {}", "    fn b() {}")));
+        assert!(have_equal_code(&one, "fn a() {}\n"), "the first test of a file");
         assert!(!have_equal_code(&one, &file("fn c() {}", "    fn b() {}")));
         assert!(!have_equal_code("fn a() {}\n", "fn a() {}\nfn b() {}\n"));
     }

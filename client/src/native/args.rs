@@ -126,7 +126,7 @@ pub struct Args {
           value_parser = |text: &str| parse_within(text, -90.0, 90.0))]
     pub orbit: Option<f64>,
 
-    /// Animation time of waves and clouds in the first frame, seconds, 0 to 86400
+    /// Animation time of waves, clouds and wind in the first frame, seconds, 0 to 86400
     #[arg(long, value_name = "S", default_value_t = 0.0, allow_negative_numbers = true,
           value_parser = |text: &str| parse_within(text, 0.0, 86_400.0))]
     pub time: f64,

@@ -48,7 +48,7 @@ async fn the_reason_of_an_end_is_the_violation_where_the_answers_before_it_canno
 
 /// Random, so that clients do not all return at once.
 #[tokio::test(start_paused = true)]
-async fn each_session_is_told_its_own_time_to_return_when_the_server_ends() {
+async fn each_session_gets_its_own_time_to_return_when_the_server_ends() {
     let state = server_state();
     let mut peers = Vec::new();
     for _ in 0..20 {

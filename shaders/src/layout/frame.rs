@@ -11,7 +11,7 @@ pub struct Frame {
     pub clip_from_camera: [[f32; 4]; 4],
     /// Half the width of the image plane at distance 1, along the camera's right.
     pub ray_right: [f32; 3],
-    /// Seconds; moves water and clouds.
+    /// Seconds; moves water, clouds and plants in the wind.
     pub time_s: f32,
     /// Half the height of the image plane at distance 1, along the camera's up.
     pub ray_up: [f32; 3],

@@ -85,7 +85,7 @@ pub struct Culling {
     pub start: i32,
     /// 0 where the eye is below the ground: nothing is occluded then.
     pub occlusion_enabled: u32,
-    /// Step of ray marching (T2 and T3 as first published), fine units.
+    /// Step of ray marching ([`CULL_NOISE`], [`CULL_MARCH`]), fine units.
     pub step: i32,
     /// Frames for which a block stays visible after it was last seen.
     pub stay: u32,

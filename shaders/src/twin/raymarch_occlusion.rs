@@ -1,4 +1,4 @@
-//! Twin of `wgsl/bound/raymarch_occlusion.wesl`: two published tests that lose visible plants, as
+//! Twin of `wgsl/bound/raymarch_occlusion.wesl`: two simple tests that lose visible plants, as
 //! reference methods. Ray marching in even steps over the noise finds peaks between vertices that
 //! are never drawn; over the drawn vertices, bilinear, it misses the triangles; both test one point
 //! of a clump.
@@ -60,7 +60,7 @@ pub fn raymarch_occlusion(
     return false;
 }
 
-/// The test of a chunk of side `2^bits` as first published: four corners and the middle, at its
+/// The test of a chunk of side `2^bits` by five points: four corners and the middle, at its
 /// highest point; its own ground hides nothing of the middle. True if all five are hidden.
 #[must_use]
 pub fn raymarch_occlusion_of_corners<S: Slots>(

@@ -169,6 +169,16 @@ impl<S: Slots> Surface<'_, S> {
             || (coarser & 8 != 0 && block.column == 0);
     }
 
+    /// Whether a place lies in a block with other triangles than the grid's, or nothing is drawn
+    /// there.
+    #[must_use]
+    pub fn is_rough_at(&self, x: i32, z: i32) -> bool {
+        return match self.cell_at(x, z) {
+            None => true,
+            Some((chunk, spot)) => self.is_block_rough(chunk, block_around(spot.low)),
+        };
+    }
+
     /// Whether moved vertices of a chunk with cells of 8 m and more may leave edges between the
     /// vertices of level 0: there a block's own samples are no bound.
     #[must_use]

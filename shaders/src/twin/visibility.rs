@@ -295,9 +295,12 @@ fn bounds_of<S: Slots>(surface: &Surface<'_, S>, bits: u32, column: i32, row: i3
             let east = ((column << bits) + (x << STEP_BITS)).min(last);
             let south = ((row << bits) + (z << STEP_BITS)).min(last);
             let height = surface.height_at(east, south);
+            // The end of the drawn land: the height of its border is not known.
+            if height <= NOWHERE << FINE_BITS {
+                return Some((node.top << FINE_BITS, node.bottom << FINE_BITS));
+            }
             top = top.max(height);
-            // Land under one corner alone.
-            bottom = bottom.min(height.max(node.bottom << FINE_BITS));
+            bottom = bottom.min(height);
         }
     }
     // Heights are rounded down.
@@ -378,7 +381,22 @@ pub fn sloped_occludee<S: Slots>(
         return flat;
     }
     let last = (GRID_TILES << TILE_BITS) - 1;
-    let height = |x: i32, z: i32| surface.height_at((west + x).clamp(0, last), (north + z).clamp(0, last));
+    let place = |x: i32, z: i32| ((west + x).clamp(0, last), (north + z).clamp(0, last));
+    let step = 1 << STEP_BITS;
+    // In blocks with moved vertices the ground has other diagonals: its slopes may be greatest within
+    // a cell.
+    for across in [-step, step, side + step] {
+        for along in [-step, step, side + step] {
+            let (x, z) = place(along, across);
+            if surface.is_rough_at(x, z) {
+                return flat;
+            }
+        }
+    }
+    let height = |along: i32, across: i32| {
+        let (x, z) = place(along, across);
+        surface.height_at(x, z)
+    };
     let corners = [height(0, 0), height(side, 0), height(0, side), height(side, side)];
     // Twice the rise over the side, which has at least 2^13 fine units.
     let east = ((corners[1] + corners[3]) - (corners[0] + corners[2])) >> (bits - 13);
@@ -387,7 +405,7 @@ pub fn sloped_occludee<S: Slots>(
     if plane_steep > 1 << 15 {
         return flat;
     }
-    let (step, steps) = (1 << STEP_BITS, 1 << (bits - STEP_BITS));
+    let steps = 1 << (bits - STEP_BITS);
     let mut plane = NOWHERE << FINE_BITS;
     let mut lowest = corners[0];
     // Greatest slope of the ground, and greatest difference from that of the plane.

@@ -20,7 +20,7 @@ use std::ops::Range;
 use wgpu::BufferUsages as Usage;
 
 /// Most blocks of a species: all of all patches, so no setting needs more. Blocks without room
-/// would be dropped, farthest first, and counted.
+/// would be dropped, farthest patches first, and counted.
 pub const MAX_BLOCKS: u32 = (MAX_PATCHES * PATCH_BLOCK_COUNT) as u32;
 
 /// Counts of the last culling.

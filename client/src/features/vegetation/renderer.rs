@@ -15,7 +15,7 @@ use shaders::layout::Field;
 use shaders::twin::placement::BLOCK_CELL_BITS;
 
 /// Capacity for clumps of a species in each level of detail: 154 MB. More are dropped, farthest
-/// first, and counted.
+/// patches first, and counted.
 pub const MAX_CLUMPS: [u32; 3] = [1 << 17, 1 << 19, 1 << 22];
 
 /// Passes and buffers of all species.
