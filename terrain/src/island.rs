@@ -152,8 +152,8 @@ impl Archipelago {
         }
     }
 
-    /// The lobes that may touch the square `[x, x + side] x [z, z + side]` (units, a side of at
-    /// most one cell), however the coasts are warped.
+    /// The lobes that may touch the square `[x, x + side] x [z, z + side]` (units), however the
+    /// coasts are warped.
     #[must_use]
     pub fn lobes_near(&self, x: i32, z: i32, side: u32) -> Lobes {
         let mut lobes = Lobes::new();

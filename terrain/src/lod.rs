@@ -62,8 +62,8 @@ pub const fn level_error(level: u8) -> u32 {
 pub struct Viewer {
     /// Eye, units: east, up, south.
     pub eye: (i32, i32, i32),
-    /// Chunks farther than this (metres, horizontal) are not needed. At most
-    /// [`MAX_VIEW_DISTANCE_M`].
+    /// Chunks farther than this are not needed, metres: the distance to a box up to [`SUMMIT`]. At
+    /// most [`MAX_VIEW_DISTANCE_M`].
     pub distance_m: u32,
     /// `K` in pixels: viewport height / (2 tan(vertical field of view / 2)).
     pub pixels_per_radian: u32,
@@ -396,7 +396,8 @@ mod tests {
         assert!(required(1, 0, 0).is_empty());
     }
 
-    /// The closure by the rule alone, with all eight neighbours: those in the parent add nothing.
+    /// The closure by the rule alone, with all eight visible neighbours: those in the parent add
+    /// nothing.
     #[test]
     fn balance_adds_the_smallest_closed_set_with_the_largest_urgencies() {
         let viewer = Viewer { distance_m: MAX_VIEW_DISTANCE_M, ..viewer() };
@@ -411,7 +412,9 @@ mod tests {
             let before = closed.clone();
             for (key, urgency) in &before {
                 let around = (-1..=1).flat_map(|east| (-1..=1).map(move |south| (east, south)));
-                for above in around.filter_map(|(east, south)| key.neighbour(east, south)?.parent()) {
+                let around = around.filter_map(|(east, south)| key.neighbour(east, south));
+                let visible = around.filter(|next| next == key || viewer.sees(*next));
+                for above in visible.filter_map(ChunkKey::parent) {
                     if above.level() <= viewer.top_level() {
                         let most = closed.entry(above).or_insert(*urgency);
                         *most = (*most).max(*urgency);

@@ -77,7 +77,8 @@ fn report(messages: u64, longest: Duration, blocking: Duration) {
             "processor time between two turns of a task on the thread of all connections; no session \
                  ended",
         ),
-        Bar::at_least("the same, views selected on that thread (control)", Some(ms(blocking)), "ms", bar),
+        Bar::at_least("the same, views selected on that thread (control)", Some(ms(blocking)), "ms", bar)
+            .with_note(format!("of {MESSAGES} messages")),
     ];
     std::fs::write(path, serde_json::json!({ "bars": bars }).to_string()).expect("the report");
 }

@@ -78,7 +78,8 @@ fn bars_of([cold, warm]: [&[Value]; 2], small: &Value, load: &Value, peak_mib: O
             resident,
             "MiB",
             f64::from(SMALL_BUDGET_MB),
-        ),
+        )
+        .with_note("resident chunks times the size of a slot, as the viewer counts; no memory is measured"),
     ]
 }
 

@@ -190,7 +190,11 @@ fn bars_of(planted: &Searched, found: &[Searched], earlier: &Earlier) -> Vec<Bar
         })
         .collect();
     let faults = found.iter().filter(|one| one.has_fault).count() as f64;
-    rows.push(Bar::none(FAULTS, can_find.then_some(faults.max(earlier.faults))));
+    rows.push(
+        Bar::none(FAULTS, can_find.then_some(faults.max(earlier.faults)))
+            .with_note("of those that have executions above"),
+    );
+    rows.push(Bar::some("planted fault: found (control)", Some(f64::from(u8::from(can_find)))));
     rows
 }
 
@@ -269,7 +273,7 @@ mod tests {
 
     fn missed(planted: bool, found: &[Searched]) -> usize {
         let rows = bars_of(&searched(PLANTED, 1.0, planted), found, &Earlier::default());
-        assert_eq!(rows.len(), TARGETS.len() + 1);
+        assert_eq!(rows.len(), TARGETS.len() + 2);
         rows.iter().filter(|row| row.is_missed()).count()
     }
 
@@ -278,7 +282,7 @@ mod tests {
         let whole: Vec<_> =
             TARGETS.map(|target| searched(target.name, target.executions as f64, false)).into();
         assert_eq!(missed(true, &whole), 0);
-        assert_eq!(missed(false, &whole), TARGETS.len() + 1);
+        assert_eq!(missed(false, &whole), TARGETS.len() + 2);
         assert_eq!(missed(true, &whole[1..]), 1);
         assert_eq!(missed(true, &[]), TARGETS.len());
         let mut short = whole.clone();
@@ -301,10 +305,11 @@ mod tests {
         assert!(["chunk", "pack"].into_iter().all(|target| of(target).is_met()));
         assert_eq!(of("tokens").figure, Some(1.0).into());
         assert!(of("http").is_missed());
-        assert!(rows.last().unwrap().is_met());
+        assert!(rows.iter().find(|row| row.name == FAULTS).unwrap().is_met());
         earlier.faults = 1.0;
         let faulty = bars_of(&searched(PLANTED, 1.0, true), &found, &earlier);
-        assert!(faulty.last().unwrap().is_missed(), "a fault that an earlier run found");
+        let faults = faulty.iter().find(|row| row.name == FAULTS).unwrap();
+        assert!(faults.is_missed(), "a fault that an earlier run found");
         let uncounted = bars_of(&searched(PLANTED, 1.0, false), &found, &earlier);
         assert!(uncounted.iter().all(Bar::is_missed), "without the planted fault nothing counts");
     }

@@ -136,7 +136,7 @@ fn table(record: &Record, files: &BTreeMap<String, String>) -> String {
 /// How often a row kept its bar.
 fn kept(row: &Row) -> String {
     match (row.kept.as_str(), row.verdict.as_str()) {
-        _ if row.bar == "reported" => "reported".into(),
+        (_, verdict) if row.bar == "reported" && verdict != "MISSED" => "reported".into(),
         ("", verdict) => verdict.into(),
         (kept, "MISSED") => format!("MISSED, {kept}"),
         (kept, _) => kept.into(),

@@ -241,6 +241,7 @@ const MEASURED: [(&str, &[&str]); 17] = [
             "lab/src/headless_renderer.rs",
             "lab/src/lod/screen.rs",
             "lab/src/pom/renderer.rs",
+            "lab/src/probe_pass.rs",
             "lab/src/sample.rs",
             "lab/src/stats.rs",
             "lab/src/supersampled.rs",
