@@ -229,8 +229,9 @@ impl Wood {
         let trees = words[2..][..4 * side * side].iter().filter(|words| words[3] != 0);
         let casters = trees.map(|words| Caster {
             root_m: [0, 1, 2].map(|axis| f32::from_bits(words[axis])),
-            width_m: (words[3] & 4095) as f32 / 128.0,
-            height_m: (words[3] >> 12 & 4095) as f32 / 128.0,
+            // Steps of `SHAPE_STEPS` in `shared/tree_cells.wesl`.
+            width_m: (words[3] & 4095) as f32 / 64.0,
+            height_m: (words[3] >> 12 & 4095) as f32 / 64.0,
             species: words[3] >> 24 & 3,
         });
         Ok(casters.collect())
