@@ -28,13 +28,18 @@ pub fn without_rounding(stated: u32, delivery: Delivery) -> u32 {
     }
 }
 
-/// Whether a chunk must be split for a viewer. Implies that the server splits it too, for
-/// [`vertical_scale::served`]: the server uses the chunk's error, or a larger bound, at the nearest
-/// distance. A chunk that overstates its error waits for children that no server sends, and is drawn
-/// itself.
+/// Whether a chunk must be split for a viewer. Implies that the server splits it too, for `served`
+/// ([`vertical_scale::served`] of the viewer): the server uses the chunk's error, or a larger bound,
+/// at the nearest distance. A chunk that overstates its error waits for children that no server
+/// sends, and is drawn itself.
 #[must_use]
-pub fn is_too_coarse(cache: &ChunkCache, viewer: &Viewer, key: ChunkKey, chunk: &Resident) -> bool {
-    let served = vertical_scale::served(viewer, cache.vertical_scale());
+pub fn is_too_coarse(
+    cache: &ChunkCache,
+    viewer: &Viewer,
+    served: &Viewer,
+    key: ChunkKey,
+    chunk: &Resident,
+) -> bool {
     let bound = served.screen_error_q4(chunk.served_error, served.distance_to(key));
     bound > served.tolerance() && on_screen(cache, viewer, key, chunk) > tolerance(viewer)
 }

@@ -74,7 +74,7 @@ fn wanted_splits(cache: &ChunkCache, viewer: &Viewer, served: &Viewer, tops: &[C
     let mut open = tops.to_vec();
     while let Some(key) = open.pop() {
         let Some(chunk) = cache.get(key) else { continue };
-        if error::is_too_coarse(cache, viewer, key, chunk) {
+        if error::is_too_coarse(cache, viewer, served, key, chunk) {
             wanted.insert(key, 0);
             open.extend(key.children().into_iter().flatten().filter(|child| served.sees(*child)));
         }

@@ -3,6 +3,7 @@
 
 use protocol::control;
 use protocol::message::{ClientMessage, Hello, ServerMessage};
+use protocol::view::View;
 use server::limits::rate_limit::TokenBucket;
 use server::session::driver::{self, READ_LIMIT};
 use server::state::ServerState;
@@ -16,6 +17,21 @@ pub const BINARY: u8 = 2;
 pub const CLOSE: u8 = 8;
 pub const PING: u8 = 9;
 pub const PONG: u8 = 10;
+
+/// A view of 1 km from the start of the coordinates.
+pub fn view(id: u32) -> View {
+    View {
+        id,
+        eye: [0, 60 * 256, 0],
+        velocity: [0; 3],
+        yaw_mdeg: 0,
+        pitch_mdeg: 0,
+        fov_mdeg: 60_000,
+        viewport: [640, 360],
+        tolerance_q4: 16,
+        distance_m: 1000,
+    }
+}
 
 pub struct Peer {
     io: DuplexStream,

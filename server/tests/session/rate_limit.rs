@@ -1,9 +1,8 @@
 //! The rate limit per address, in sessions.
 
-use crate::peer::{BINARY, PING, PONG, Peer};
+use crate::peer::{BINARY, PING, PONG, Peer, view};
 use protocol::message::{ClientMessage, RefusalReason, ServerMessage};
 use protocol::server::ChunkRequest;
-use protocol::view::View;
 use protocol::{Delivery, control};
 use server::ServerConfig;
 use server::limits::rate_limit::TokenBucket;
@@ -105,17 +104,7 @@ async fn requests_that_the_bucket_pays_for_within_the_deadline_are_not_rejected(
 async fn a_view_is_delayed_by_the_rate_limit_and_never_rejected() {
     // A full bucket holds a second of work.
     let state = state_with_rate(100);
-    let view = View {
-        id: 1,
-        eye: [0, 60 * 256, 0],
-        velocity: [0; 3],
-        yaw_mdeg: 0,
-        pitch_mdeg: 0,
-        fov_mdeg: 60_000,
-        viewport: [640, 360],
-        tolerance_q4: 16,
-        distance_m: 1000,
-    };
+    let view = view(1);
     let keys: Vec<_> =
         lod::select(&state.offer.land, &view.viewer(), 10_000).iter().map(|needed| needed.key).collect();
     generate(&state, &keys).await;

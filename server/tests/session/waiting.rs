@@ -1,9 +1,8 @@
 //! Chunks and views that wait for the generation thread, which stands still.
 
-use crate::peer::{BINARY, PING, PONG, Peer};
+use crate::peer::{BINARY, PING, PONG, Peer, view};
 use protocol::message::{ClientMessage, RefusalReason, ServerMessage, WireKey};
 use protocol::server::ChunkRequest;
-use protocol::view::View;
 use protocol::{Delivery, control};
 use server::ServerConfig;
 use server::chunk_id::ChunkId;
@@ -83,20 +82,6 @@ fn request(id: u32, xs: Range<i32>) -> ClientMessage {
     ClientMessage::Request { id, keys: xs.map(|x| WireKey { level: 0, x, z: 0 }).collect() }
 }
 
-fn view(id: u32) -> ClientMessage {
-    ClientMessage::View(View {
-        id,
-        eye: [0, 60 * 256, 0],
-        velocity: [0; 3],
-        yaw_mdeg: 0,
-        pitch_mdeg: 0,
-        fov_mdeg: 60_000,
-        viewport: [640, 360],
-        tolerance_q4: 16,
-        distance_m: 1000,
-    })
-}
-
 /// The requests that are rejected as overloaded until a ping is answered; nothing else is received.
 async fn rejected(peer: &mut Peer) -> usize {
     // Not in the same read as the requests.
@@ -155,7 +140,7 @@ async fn a_view_is_selected_on_the_generation_thread() {
         let server = Standing::new(HOUR, without);
         let mut peer = server.connect().await;
         peer.send_message(&ClientMessage::Credit { chunks: 1000 }).await;
-        peer.send_message(&view(1)).await;
+        peer.send_message(&ClientMessage::View(view(1))).await;
         for _ in 0..2 {
             assert_eq!(rejected(&mut peer).await, 0);
         }
@@ -170,7 +155,7 @@ async fn a_superseded_view_is_counted_once_and_before_anything_is_written() {
     let server = Standing::new(HOUR, None);
     let mut peer = server.connect().await;
     for id in 1..=3 {
-        peer.send_message(&view(id)).await;
+        peer.send_message(&ClientMessage::View(view(id))).await;
         // The first is being selected when the second comes.
         sleep(Duration::from_millis(1)).await;
     }

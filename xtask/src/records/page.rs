@@ -201,6 +201,16 @@ mod tests {
     }
 
     #[test]
+    fn a_missing_figure_without_a_bar_is_a_miss() {
+        let of = |verdict: &str| {
+            let [what, figure, range] = ["time", "missing", ""].map(str::to_owned);
+            let (bar, verdict, kept) = ("reported".into(), verdict.into(), "0 of 1".into());
+            super::kept(&Row { what, figure, bar, verdict, range, kept })
+        };
+        assert_eq!([of("ok"), of("MISSED")], ["reported", "MISSED, 0 of 1"]);
+    }
+
+    #[test]
     fn the_page_has_rows_notes_of_rows_and_sections_without_records() {
         let page = text(&files());
         for part in [
