@@ -51,7 +51,7 @@ fn decode(frame: &[u8], parent: &[i32; VERTEX_COUNT]) -> [Result<Chunk, ChunkErr
 fn resealed(bytes: &[u8]) -> Option<Vec<u8>> {
     let is_frame = bytes.starts_with(&chunk_codec::MAGIC) && bytes.len() >= CHUNK_HEADER;
     let mut frame = is_frame.then(|| bytes.to_vec())?;
-    chunk_codec::reseal(&mut frame, &WORLD.digest, Some(&WORLD.parent.heights));
+    chunk_codec::rewrite_digest(&mut frame, &WORLD.digest, Some(&WORLD.parent.heights));
     Some(frame)
 }
 

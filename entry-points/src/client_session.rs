@@ -58,7 +58,7 @@ fn pass(bytes: &[u8], reseals: bool, mut see: impl FnMut(&[u8], &[i32; VERTEX_CO
         let named = chunk_codec::kind_and_key(&frame).ok();
         let parent = named.and_then(|(_, key)| heights.get(&key.parent()?).cloned());
         if reseals && frame.starts_with(&chunk_codec::MAGIC) {
-            chunk_codec::reseal(&mut frame, &WORLD.digest, parent.as_deref());
+            chunk_codec::rewrite_digest(&mut frame, &WORLD.digest, parent.as_deref());
         }
         let received = session.receive(DataFrame::Binary(&frame));
         let is_chunk = matches!(received, Ok(Event::Chunk { .. }) | Err(PeerFault::Chunk(_)));

@@ -10,8 +10,7 @@ use crate::session;
 use crate::task::{GIVE_UP_AFTER, SessionEnd, Task};
 use protocol::backoff::Backoff;
 use std::time::Duration;
-use terrain::hash::mix;
-use tokio::time::{Instant, sleep, timeout_at};
+use tokio::time::{Instant, sleep};
 
 /// First and longest delay before a client connects again.
 const FIRST_DELAY: Duration = Duration::from_millis(250);
@@ -29,8 +28,7 @@ pub enum Outcome {
 /// Runs a measured client to the end of its phase. The ETags are kept for the next phase.
 pub async fn run<D: Dial>(task: &Task<'_, D>, etags: &mut EtagCache) -> Outcome {
     let mut schedule = Schedule::new(task.config, task.index, task.epoch, task.end);
-    // Seeded by client, so that clients that were disconnected together do not return together.
-    let mut backoff = Backoff::new(FIRST_DELAY, MAX_DELAY, u64::from(mix(task.index)));
+    let mut backoff = Backoff::new(FIRST_DELAY, MAX_DELAY, task.delay_seed());
     let mut resumption = Resumption::default();
     let mut outcome = Outcome::Continue;
     loop {
@@ -74,16 +72,18 @@ pub async fn run<D: Dial>(task: &Task<'_, D>, etags: &mut EtagCache) -> Outcome 
         }
         let announced = resumption.take_hint().unwrap_or_default();
         let delay = sleep(backoff.next_delay().max(announced));
-        if timeout_at(task.end, delay).await.is_err() || Instant::now() >= task.end {
+        if task.until(task.end, delay).await.is_none() || Instant::now() >= task.end {
             break;
         }
     }
     let now = Instant::now();
     resumption.end(now, task.counters);
     for due in schedule.remaining() {
-        // An action due after an early end has not waited.
         match now.checked_duration_since(due) {
             Some(waited) => task.counters.unsent(waited),
+            // The run ended before it was due.
+            None if task.interrupt.is_cancelled() => break,
+            // An action due after an early end has not waited.
             None => task.counters.skipped(),
         }
     }

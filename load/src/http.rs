@@ -16,9 +16,10 @@ use protocol::Delivery;
 use protocol::chunk_codec::{self, seed_only};
 use rustc_hash::FxHashMap;
 use serde::Deserialize;
+use std::future::pending;
 use std::time::Duration;
 use terrain::{ChunkKey, WorldDigest};
-use tokio::time::{Instant, sleep, sleep_until, timeout, timeout_at};
+use tokio::time::{Instant, sleep, timeout};
 
 /// Maximum of ETags that a client remembers, about 200 KiB. Further chunks are requested without
 /// condition.
@@ -41,11 +42,11 @@ struct World {
 /// Runs from connect to the end of the phase or of the connection.
 pub async fn run<D: Dial>(task: &Task<'_, D>, schedule: &mut Schedule, etags: &mut EtagCache) -> SessionEnd {
     let started = Instant::now();
-    let mut client = match timeout_at(task.end, HttpClient::admit(task)).await {
-        Ok(Ok(client)) => client,
-        Ok(Err(end)) => return end,
+    let mut client = match task.until(task.end, HttpClient::admit(task)).await {
+        Some(Ok(client)) => client,
+        Some(Err(end)) => return end,
         // The phase ended during admission; no session was lost.
-        Err(_) => {
+        None => {
             task.ended_in_admission(started);
             return SessionEnd::Finished;
         }
@@ -113,19 +114,20 @@ impl<'t, 'a, D: Dial> HttpClient<'t, 'a, D> {
         let task = self.task;
         let stop = if schedule.is_open() { task.end + GRACE } else { task.end };
         while !schedule.is_done() && Instant::now() < stop {
-            let Action::Request(since, _) = schedule.next(0).await else { continue };
+            let Some(action) = task.until(stop, schedule.next(0)).await else { break };
+            let Action::Request(since, _) = action else { continue };
             let seconds = since.saturating_duration_since(task.epoch).as_secs_f64();
             let key = self.keys.key(schedule.next_number(), seconds);
             task.counters.request(since.elapsed());
             let sent = Instant::now();
-            let (end, pause) = match timeout_at(stop, self.fetch(key, etags)).await {
-                Ok(Ok(FetchOutcome::Answered)) => {
+            let (end, pause) = match task.until(stop, self.fetch(key, etags)).await {
+                Some(Ok(FetchOutcome::Answered)) => {
                     task.counters.answered(since.elapsed());
                     continue;
                 }
-                Ok(Ok(FetchOutcome::Refused(pause))) => (None, pause),
-                Ok(Err(end)) => (Some(end), Duration::ZERO),
-                Err(_) => {
+                Some(Ok(FetchOutcome::Refused(pause))) => (None, pause),
+                Some(Err(end)) => (Some(end), Duration::ZERO),
+                None => {
                     if sent.elapsed() >= SILENCE {
                         task.counters.stalled(&format!("no answer to a GET within {SILENCE:?}"));
                     }
@@ -133,19 +135,21 @@ impl<'t, 'a, D: Dial> HttpClient<'t, 'a, D> {
                 }
             };
             if let Some(end) = end {
-                if schedule.is_open() || since.elapsed() >= STALL {
+                // An interrupt cuts off an open loop too.
+                let is_open = schedule.is_open() && !task.interrupt.is_cancelled();
+                if is_open || since.elapsed() >= STALL {
                     task.counters.abandoned(since.elapsed());
                 } else {
                     task.counters.unanswered(1);
                 }
                 return end;
             }
-            if !schedule.is_open() && timeout_at(stop, sleep(pause.min(MAX_PAUSE))).await.is_err() {
+            if !schedule.is_open() && task.until(stop, sleep(pause.min(MAX_PAUSE))).await.is_none() {
                 break;
             }
         }
         // An open loop without further actions still lasts until the end.
-        sleep_until(task.end).await;
+        task.until(task.end, pending::<()>()).await;
         SessionEnd::Finished
     }
 

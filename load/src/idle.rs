@@ -13,7 +13,6 @@ use protocol::CloseCode;
 use protocol::client::{ClientConfig, ClientSession};
 use terrain::{Land, Start};
 use tokio::io::{AsyncRead, AsyncReadExt};
-use tokio::time::timeout_at;
 
 /// Credit of a client with a view: enough that the server has chunks to send.
 const WINDOW: u32 = 64;
@@ -26,15 +25,17 @@ const BUFFER: usize = 4096;
 
 /// Runs an idle client until the server closes the connection or the run ends.
 pub async fn run<D: Dial>(task: &Task<'_, D>) {
-    match timeout_at(task.end, stay_idle(task)).await {
-        Ok(Ok(why)) => task.counters.closed(&why),
-        Ok(Err(SessionEnd::NotAdmitted { problem, .. } | SessionEnd::Unreachable(problem))) => {
+    match task.until(task.end, stay_idle(task)).await {
+        Some(Ok(why)) => task.counters.closed(&why),
+        Some(Err(SessionEnd::NotAdmitted { problem, .. } | SessionEnd::Unreachable(problem))) => {
             task.counters.refused(&problem);
         }
-        Ok(Err(SessionEnd::Lost(problem) | SessionEnd::Wrong(problem) | SessionEnd::OtherWorld(problem))) => {
+        Some(Err(
+            SessionEnd::Lost(problem) | SessionEnd::Wrong(problem) | SessionEnd::OtherWorld(problem),
+        )) => {
             task.counters.closed(&problem);
         }
-        Ok(Err(SessionEnd::Finished)) | Err(_) => task.counters.stayed(),
+        Some(Err(SessionEnd::Finished)) | None => task.counters.stayed(),
     }
 }
 

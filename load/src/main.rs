@@ -12,8 +12,17 @@ use std::path::Path;
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::time::Duration;
+use tokio_util::sync::CancellationToken;
 
 const NAME: &str = "tombolo-load";
+
+/// Exit code after an interrupt.
+const INTERRUPTED: u8 = 130;
+
+/// A run that was interrupted, in one line.
+#[derive(Debug, thiserror::Error)]
+#[error("{0}")]
+struct Interrupted(String);
 
 fn main() -> ExitCode {
     let args: Args = match cli::parse() {
@@ -33,7 +42,10 @@ fn main() -> ExitCode {
     }
     match drive(config, json.as_deref(), picture.as_deref(), quiet) {
         Ok(()) => ExitCode::SUCCESS,
-        Err(error) => cli::fail(NAME, format!("{error:#}"), cli::FAILED),
+        Err(error) => {
+            let code = if error.is::<Interrupted>() { INTERRUPTED } else { cli::FAILED };
+            cli::fail(NAME, format!("{error:#}"), code)
+        }
     }
 }
 
@@ -53,11 +65,12 @@ fn drive(config: LoadConfig, json: Option<&Path>, picture: Option<&Path>, quiet:
     // A closed pipe is no reason to fail; the exit code has the verdict.
     let _ = write!(std::io::stdout(), "{report}");
     let written = write_json(json, &report).and_then(|()| write_plot(picture, &report));
-    match (report.verdict(), written) {
-        (Ok(()), written) => written,
-        (Err(problem), Ok(())) => Err(anyhow!(problem)),
-        (Err(problem), Err(unwritten)) => Err(anyhow!("{problem}; {unwritten:#}")),
-    }
+    let problem = match (report.verdict(), written) {
+        (Ok(()), written) => return written,
+        (Err(problem), Ok(())) => problem,
+        (Err(problem), Err(unwritten)) => format!("{problem}; {unwritten:#}"),
+    };
+    Err(if report.interrupted { Interrupted(problem).into() } else { anyhow!(problem) })
 }
 
 /// Writes the report by the file's path, not by a file opened before the run: a folder that was
@@ -93,24 +106,36 @@ fn unwritable(option: &str, path: &Path) -> String {
     format!("{option}: cannot write `{}`", path.display())
 }
 
-/// Runs with progress.
+/// Runs with progress, until the end or the first Ctrl-C.
+///
+/// # Errors
+/// A second Ctrl-C, or no handler for the first.
 async fn run_with_progress(config: LoadConfig, quiet: bool) -> Result<Report> {
     let stats = Arc::new(RunStats::new(&config));
     let mut reporter = ProgressReporter::new(quiet, stats.duration());
-    let run = load::run_counting(config, Arc::clone(&stats));
-    tokio::pin!(run);
+    let interrupt = CancellationToken::new();
+    let run = load::run_counting(config, Arc::clone(&stats), interrupt.clone());
+    let ctrl_c = tokio::signal::ctrl_c();
+    tokio::pin!(run, ctrl_c);
     let mut tick = tokio::time::interval(Duration::from_secs(1));
     loop {
         tokio::select! {
+            // In this order: the handler exists before the first client connects.
+            biased;
+            handled = &mut ctrl_c => {
+                handled.context("cannot listen for Ctrl-C")?;
+                reporter.finish();
+                if interrupt.is_cancelled() {
+                    return Err(Interrupted("interrupted twice; no report was written".into()).into());
+                }
+                interrupt.cancel();
+                ctrl_c.set(tokio::signal::ctrl_c());
+            }
             report = &mut run => {
                 reporter.finish();
                 return Ok(report);
             }
-            _ = tick.tick() => reporter.update(&stats.progress()),
-            _ = tokio::signal::ctrl_c() => {
-                reporter.finish();
-                return Err(anyhow!("interrupted before the end of the run; no report was written"));
-            }
+            _ = tick.tick(), if !interrupt.is_cancelled() => reporter.update(&stats.progress()),
         }
     }
 }

@@ -29,6 +29,8 @@ pub struct Report {
     pub started_unix_s: f64,
     /// Length of the run, seconds.
     pub seconds: f64,
+    /// Whether an interrupt ended the run early.
+    pub interrupted: bool,
     /// Requested delivery: `exact`, `refined`, `seed` or `quantised`.
     pub delivery: &'static str,
     /// Mode of the clients: `view`, `explicit` or `http`.
@@ -168,6 +170,7 @@ impl Report {
             never_connected: get(&stats.never_connected),
             started_unix_s: stats.started_unix.as_secs_f64(),
             seconds: phases.iter().map(|phase| phase.seconds).sum(),
+            interrupted: false,
             delivery: config.delivery.name(),
             mode: config.mode.name(),
             path: config.path.name(),
@@ -186,7 +189,7 @@ impl Report {
             resume: ResumeReport::of(&counters().map(Arc::as_ref).collect::<Vec<_>>()),
             slow: background(config.slow, &stats.slow),
             silent: background(config.silent, &stats.silent),
-            timeline: timeline(stats),
+            timeline: timeline(stats, took),
             phases,
         }
     }
@@ -224,6 +227,10 @@ impl Report {
         if self.counts.stalled > 0 {
             return Err(format!("{} clients waited for a silent server{because}", self.counts.stalled));
         }
+        // What a run lacks is no fault of the server if the run was cut short.
+        if self.interrupted {
+            return Err(format!("interrupted after {:.1} s", self.seconds));
+        }
         if self.counts.chunks + self.counts.not_modified == 0 {
             let because = if because.is_empty() { "; is the run long enough?".into() } else { because };
             return Err(format!("no chunk arrived in {:.0} s{because}", self.seconds));
@@ -251,11 +258,12 @@ fn first(mut problems: Vec<(ProblemKind, String)>) -> Vec<String> {
     texts
 }
 
-/// All seconds, except idle ones after the end of the run, in which comparisons were finished.
-fn timeline(stats: &RunStats) -> Vec<Second> {
+/// All seconds, except idle ones after the end of the run, in which sessions were closed and
+/// comparisons finished.
+fn timeline(stats: &RunStats, took: Duration) -> Vec<Second> {
     let mut seconds = stats.timeline.seconds();
     let is_idle = |second: &Second| second.chunks + second.answers == 0;
-    let lasts = stats.duration().as_secs();
+    let lasts = stats.duration().min(took).as_secs_f64().ceil() as u64;
     while seconds.last().is_some_and(|second| second.second >= lasts && is_idle(second)) {
         seconds.pop();
     }
@@ -369,6 +377,18 @@ mod tests {
         assert!(without.verdict().unwrap_err().contains("1 of 2 clients never had a session"));
         let unchanged = counted(Counts { chunks: 0, not_modified: 1, ..good().counts });
         assert_eq!(unchanged.verdict(), Ok(()), "304 is an answer");
+    }
+
+    #[test]
+    fn an_interrupted_run_does_not_pass_and_names_faults_before_the_interrupt() {
+        let cut = |report: Report| Report { interrupted: true, ..report };
+        assert_eq!(cut(good()).verdict(), Err("interrupted after 10.0 s".into()));
+        let empty = report(&config(), |_| ());
+        assert!(empty.verdict().unwrap_err().contains("no chunk"), "control");
+        assert_eq!(cut(empty).verdict(), Err("interrupted after 10.0 s".into()));
+        let wrong = cut(counted(Counts { mismatches: 1, ..good().counts }));
+        assert!(wrong.verdict().unwrap_err().contains("1 mismatches"));
+        assert!(wrong.to_string().contains("2 for 10.0 s, interrupted"), "{wrong}");
     }
 
     #[test]

@@ -17,6 +17,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 use tokio::task::JoinSet;
 use tokio::time::{Instant, sleep_until};
+use tokio_util::sync::CancellationToken;
 
 /// Time over which slow and idle clients connect.
 const BACKGROUND_RAMP: Duration = Duration::from_secs(1);
@@ -24,20 +25,27 @@ const BACKGROUND_RAMP: Duration = Duration::from_secs(1);
 /// Runs a load test. Never fails: faults are counted and decide the verdict of the report.
 pub async fn run(config: LoadConfig) -> Report {
     let stats = Arc::new(RunStats::new(&config));
-    run_counting(config, stats).await
+    run_counting(config, stats, CancellationToken::new()).await
 }
 
-/// As [`run`], with statistics of this configuration that the caller can read during the run.
-pub async fn run_counting(config: LoadConfig, stats: Arc<RunStats>) -> Report {
+/// As [`run`], with statistics of this configuration that the caller can read during the run, and a
+/// token that ends it early.
+pub async fn run_counting(config: LoadConfig, stats: Arc<RunStats>, interrupt: CancellationToken) -> Report {
     let dial = Network::to(&config.connect, config.tls.clone());
-    run_over(dial, config, stats).await
+    run_over(dial, config, stats, interrupt).await
 }
 
 /// As [`run_counting`], over other connections than the network's.
-pub async fn run_over<D: Dial>(dial: D, config: LoadConfig, stats: Arc<RunStats>) -> Report {
+pub async fn run_over<D: Dial>(
+    dial: D,
+    config: LoadConfig,
+    stats: Arc<RunStats>,
+    interrupt: CancellationToken,
+) -> Report {
     let (regeneration, comparing) = Regeneration::start();
     let started = Instant::now();
-    let shared = Arc::new(Shared { config, dial, stats, started, world: FirstWorld::default() });
+    let world = FirstWorld::default();
+    let shared = Arc::new(Shared { config, dial, stats, started, world, interrupt });
     let mut clients = JoinSet::new();
     for index in 0..shared.config.clients {
         clients.spawn(run_measured(Arc::clone(&shared), regeneration.clone(), index));
@@ -48,18 +56,30 @@ pub async fn run_over<D: Dial>(dial: D, config: LoadConfig, stats: Arc<RunStats>
     for index in 0..shared.config.silent {
         clients.spawn(run_idle(Arc::clone(&shared), regeneration.clone(), index));
     }
-    while let Some(joined) = clients.join_next().await {
-        if let Err(error) = joined {
-            // A panic is a fault of this program and must not count as a good session.
-            shared.own_faults().dropped(&format!("a client task failed: {error}"));
+    let mut interrupted = None;
+    loop {
+        tokio::select! {
+            // In this order: clients may end at once after an interrupt.
+            biased;
+            () = shared.interrupt.cancelled(), if interrupted.is_none() => {
+                interrupted = Some(started.elapsed());
+            }
+            joined = clients.join_next() => match joined {
+                Some(Ok(())) => {}
+                // A panic is a fault of this program and must not count as a good session.
+                Some(Err(error)) => shared.own_faults().dropped(&format!("a client task failed: {error}")),
+                None => break,
+            },
         }
     }
-    let took = started.elapsed();
+    // Without the closing of sessions after an interrupt, which is no load.
+    let took = interrupted.unwrap_or_else(|| started.elapsed());
     drop(regeneration);
     if let Err(error) = comparing.await {
         shared.own_faults().mismatch(&format!("comparing with local generation failed: {error}"));
     }
-    Report::new(&shared.config, &shared.stats, took)
+    let report = Report::new(&shared.config, &shared.stats, took);
+    Report { interrupted: interrupted.is_some(), ..report }
 }
 
 /// State that all clients of a run share.
@@ -69,6 +89,7 @@ struct Shared<D> {
     stats: Arc<RunStats>,
     started: Instant,
     world: FirstWorld,
+    interrupt: CancellationToken,
 }
 
 impl<D> Shared<D> {
@@ -84,6 +105,7 @@ impl<D> Shared<D> {
         counters: &'a Arc<Counters>,
         regeneration: &'a Regeneration,
         had_session: &'a AtomicBool,
+        interrupt: &'a CancellationToken,
     ) -> Task<'a, D> {
         let step = BACKGROUND_RAMP.min(self.stats.duration() / 5) / n.max(1);
         Task {
@@ -95,6 +117,7 @@ impl<D> Shared<D> {
             regeneration,
             epoch: self.started + step * index,
             end: self.started + self.stats.duration(),
+            interrupt,
             read_rate: None,
             world: &self.world,
             had_session,
@@ -116,17 +139,28 @@ async fn run_phases<D: Dial>(
     index: u32,
     had_session: &AtomicBool,
 ) {
-    let Shared { config, dial, stats, started, world } = shared;
+    let Shared { config, dial, stats, started, world, interrupt } = shared;
+    let interrupt = &interrupt.child_token();
     let mut etags = EtagCache::default();
     for (phase, counters) in &stats.phases {
         let at_once = config.path == PathKind::Spawn;
         let epoch = *started + phase.client_start(index, config.clients, at_once);
         let end = *started + phase.end();
-        sleep_until(epoch).await;
-        let read_rate = None;
-        let task =
-            Task { index, config, dial, counters, regeneration, epoch, end, read_rate, world, had_session };
-        if client::run(&task, &mut etags).await == Outcome::GiveUp {
+        let task = Task {
+            index,
+            config,
+            dial,
+            counters,
+            regeneration,
+            epoch,
+            end,
+            interrupt,
+            read_rate: None,
+            world,
+            had_session,
+        };
+        let is_due = task.until(end, sleep_until(epoch)).await.is_some();
+        if !is_due || client::run(&task, &mut etags).await == Outcome::GiveUp {
             return;
         }
     }
@@ -135,14 +169,18 @@ async fn run_phases<D: Dial>(
 async fn run_slow<D: Dial>(shared: Arc<Shared<D>>, regeneration: Regeneration, index: u32) {
     let read_rate = Some(shared.config.slow_bytes_per_s);
     let (number, had_session) = ((index, shared.config.slow), AtomicBool::new(false));
-    let task = shared.background_task(number, &shared.stats.slow, &regeneration, &had_session);
-    sleep_until(task.epoch).await;
-    slow::run(&Task { read_rate, ..task }).await;
+    let interrupt = shared.interrupt.child_token();
+    let task = shared.background_task(number, &shared.stats.slow, &regeneration, &had_session, &interrupt);
+    if task.until(task.end, sleep_until(task.epoch)).await.is_some() {
+        slow::run(&Task { read_rate, ..task }).await;
+    }
 }
 
 async fn run_idle<D: Dial>(shared: Arc<Shared<D>>, regeneration: Regeneration, index: u32) {
     let (number, had_session) = ((index, shared.config.silent), AtomicBool::new(false));
-    let task = shared.background_task(number, &shared.stats.silent, &regeneration, &had_session);
-    sleep_until(task.epoch).await;
-    idle::run(&task).await;
+    let interrupt = shared.interrupt.child_token();
+    let task = shared.background_task(number, &shared.stats.silent, &regeneration, &had_session, &interrupt);
+    if task.until(task.end, sleep_until(task.epoch)).await.is_some() {
+        idle::run(&task).await;
+    }
 }

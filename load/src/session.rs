@@ -30,10 +30,10 @@ use protocol::message::{RefusalReason, Settled, Welcome};
 use protocol::peer_text::one_line;
 use protocol::{CloseCode, DataFrame, Delivery, PeerFault};
 use socket::lost;
+use std::pin::pin;
 use std::time::Duration;
-use terrain::hash::mix;
 use terrain::{Chunk, Land, WorldDigest};
-use tokio::time::{Instant, sleep_until, timeout, timeout_at};
+use tokio::time::{Instant, sleep_until, timeout};
 use tokio_tungstenite::tungstenite::{Error, Message};
 
 /// Credit window, chunks. Enough to hide a round trip, few enough that a new view takes effect
@@ -64,11 +64,11 @@ pub async fn run<D: Dial>(
     resumption: &mut Resumption,
 ) -> SessionEnd {
     let started = Instant::now();
-    let mut session = match timeout_at(task.end, Session::admit(task, resumption)).await {
-        Ok(Ok(session)) => session,
-        Ok(Err(end)) => return end,
+    let mut session = match task.until(task.end, Session::admit(task, resumption)).await {
+        Some(Ok(session)) => session,
+        Some(Err(end)) => return end,
         // The phase ended during admission; no session was lost.
-        Err(_) => {
+        None => {
             task.ended_in_admission(started);
             return SessionEnd::Finished;
         }
@@ -140,7 +140,7 @@ impl<'t, 'a, D: Dial> Session<'t, 'a, D> {
             path,
             keys: Keys::new(config.path, config.seed, task.index, path),
             poses: Poses::default(),
-            pause: RequestPause::new(u64::from(mix(task.index))),
+            pause: RequestPause::new(task.delay_seed()),
             last_frame: Instant::now(),
             refused_view: None,
             released: ReleasedChunks::default(),
@@ -151,6 +151,7 @@ impl<'t, 'a, D: Dial> Session<'t, 'a, D> {
     async fn run(&mut self, schedule: &mut Schedule) -> SessionEnd {
         let mut frames = 0u32;
         let mut stop = self.task.end;
+        let mut interrupted = pin!(self.task.interrupt.cancelled());
         loop {
             if let Err(problem) = transmit(&mut self.socket, &mut self.machine).await {
                 let is_open = schedule.is_open();
@@ -178,6 +179,10 @@ impl<'t, 'a, D: Dial> Session<'t, 'a, D> {
                 }
                 action = schedule.next(outstanding), if !is_paused => self.perform(action, schedule),
                 () = self.pause.end(), if is_paused => {}
+                () = &mut interrupted => {
+                    self.close(CloseCode::Normal).await;
+                    return SessionEnd::Finished;
+                }
                 () = sleep_until(stop) => {
                     if schedule.is_open() && stop == self.task.end {
                         stop += GRACE;
@@ -321,19 +326,16 @@ impl<'t, 'a, D: Dial> Session<'t, 'a, D> {
     /// Counts requests and poses without an answer.
     fn count_unanswered(&self, is_open: bool) {
         let now = Instant::now();
-        if !is_open {
-            // The latest ones are cut off by the end of the session; older ones wait for a server
-            // that stalls.
-            for since in self.expected.waiting_since() {
-                match now.saturating_duration_since(since) {
-                    waited if waited >= STALL => self.task.counters.abandoned(waited),
-                    _ => self.task.counters.unanswered(1),
-                }
+        // An open loop has waited for its last answers, unless it was interrupted.
+        let has_waited = is_open && !self.task.interrupt.is_cancelled();
+        let poses = self.poses.waiting_since().filter(|_| is_open);
+        for since in self.expected.waiting_since().chain(poses) {
+            match now.saturating_duration_since(since) {
+                waited if has_waited || waited >= STALL => self.task.counters.abandoned(waited),
+                // The latest ones are cut off by the end of the session; older ones wait for a
+                // server that stalls.
+                _ => self.task.counters.unanswered(1),
             }
-            return;
-        }
-        for since in self.expected.waiting_since().chain(self.poses.waiting_since()) {
-            self.task.counters.abandoned(now.saturating_duration_since(since));
         }
     }
 }

@@ -10,7 +10,8 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 use terrain::Land;
-use tokio::time::Instant;
+use tokio::time::{Instant, timeout_at};
+use tokio_util::sync::CancellationToken;
 
 /// Timeout of a connection with its handshake, and again of the Welcome.
 pub const HANDSHAKE_TIMEOUT: Duration = Duration::from_secs(10);
@@ -43,6 +44,9 @@ pub struct Task<'a, D> {
     pub epoch: Instant,
     /// No request is started from here on.
     pub end: Instant,
+    /// Ends the run before that. A token of this client alone: clients of one token would wait for
+    /// its lock.
+    pub interrupt: &'a CancellationToken,
     /// Limit of the read rate, bytes a second.
     pub read_rate: Option<u32>,
     /// The world that was announced first.
@@ -59,10 +63,23 @@ impl<D> Task<'_, D> {
         FlightPath::new(self.config.path, self.config.seed, self.index, self.world.start(land))
     }
 
+    /// Seed of the client's delays: clients disconnected or refused together do not return
+    /// together. It follows from the options, so that a run can be repeated. A second load test
+    /// beside this one takes another `--seed`.
+    #[must_use]
+    pub fn delay_seed(&self) -> u64 {
+        u64::from(self.config.seed) << 32 | u64::from(self.index)
+    }
+
     /// The client was admitted.
     pub fn admitted(&self) {
         self.counters.admitted();
         self.had_session.store(true, Ordering::Relaxed);
+    }
+
+    /// The result of `work`; none at a time or at the interrupt of the run, if it has none by then.
+    pub async fn until<T>(&self, at: Instant, work: impl Future<Output = T>) -> Option<T> {
+        self.interrupt.run_until_cancelled(timeout_at(at, work)).await?.ok()
     }
 
     /// The phase ended while a client that began then waited for its admission.

@@ -10,7 +10,8 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 use test_support::ChunkFault;
-use tokio::time::Instant;
+use tokio::time::{Instant, sleep};
+use tokio_util::sync::CancellationToken;
 
 /// The stall, seconds from the start.
 const STALL_S: (u64, u64) = (3, 5);
@@ -41,7 +42,7 @@ const fn transport(mode: Mode) -> Transport {
 
 async fn load_on(server: Server, config: LoadConfig) -> Report {
     let stats = Arc::new(RunStats::new(&config));
-    run_over(server, config, stats).await
+    run_over(server, config, stats, CancellationToken::new()).await
 }
 
 async fn stalled(mode: Mode, rate: Option<f64>) -> Report {
@@ -60,6 +61,38 @@ async fn calm(mode: Mode, rate: Option<f64>) -> Report {
     let report = load_on(Server::new(transport(mode)), config(mode, rate)).await;
     assert_eq!(report.verdict(), Ok(()), "{report}");
     report
+}
+
+#[tokio::test(start_paused = true)]
+async fn an_interrupt_ends_a_run_with_the_report_so_far() {
+    for (mode, rate) in [
+        (Mode::Http, None),
+        (Mode::Http, Some(RATE)),
+        (Mode::Explicit, None),
+        (Mode::Explicit, Some(RATE)),
+        (Mode::View, Some(RATE)),
+    ] {
+        let background = u32::from(mode == Mode::Explicit);
+        let config =
+            LoadConfig { seconds: 3600, slow: background, silent: 2 * background, ..config(mode, rate) };
+        let (interrupt, stats) = (CancellationToken::new(), Arc::new(RunStats::new(&config)));
+        let run = run_over(Server::new(transport(mode)), config, stats, interrupt.clone());
+        let later = async {
+            sleep(Duration::from_secs(4)).await;
+            interrupt.cancel();
+        };
+        let (report, ()) = tokio::join!(run, later);
+        assert!(report.interrupted && report.counts.chunks > 0, "{report}");
+        assert!((3.9..4.5).contains(&report.seconds), "the clock of the test: {report}");
+        assert_eq!(report.verdict(), Err(format!("interrupted after {:.1} s", report.seconds)));
+        // At most one of a client was due in the same millisecond.
+        assert!(report.counts.unsent <= 2, "what was not due is no request: {report}");
+        assert_eq!((report.counts.dropped, report.counts.stalled), (0, 0), "{report}");
+        let silent = report.silent.as_ref().map_or(0, |silent| silent.stayed);
+        assert_eq!(silent, u64::from(2 * background), "{report}");
+    }
+    let whole = calm(Mode::Http, None).await;
+    assert!(!whole.interrupted, "control");
 }
 
 #[tokio::test(start_paused = true)]

@@ -21,6 +21,7 @@ fn invalid_options_end_with_2_and_one_line() {
         (&["--mode", "http", "--delivery", "seed"], "--delivery"),
         (&["--connect", "http://127.0.0.1/"], "--connect"),
         (&["--token-file", "/no/such/file"], "/no/such/file"),
+        (&["--ca-file", "ca.pem"], "--ca-file: a ws:// address has no TLS"),
     ] {
         let output = run(args);
         let text = message(&output);
@@ -103,6 +104,34 @@ fn a_report_whose_folder_is_gone_is_an_error_beside_the_verdict() {
     assert!(text.contains("--json: cannot write") && text.contains("no chunk arrived"), "{text}");
     assert_eq!(text.lines().count(), 1, "{text}");
     assert!(String::from_utf8_lossy(&output.stdout).contains("clients"), "the table is printed");
+}
+
+#[cfg(unix)]
+#[test]
+fn an_interrupt_ends_with_130_and_the_report_so_far() {
+    let listener = std::net::TcpListener::bind("127.0.0.1:0").expect("a free port");
+    let url = format!("ws://{}/v1/stream", listener.local_addr().expect("bound"));
+    let json = std::env::temp_dir().join(format!("tombolo-load-interrupt-{}.json", std::process::id()));
+    let program = Command::new(env!("CARGO_BIN_EXE_tombolo-load"))
+        .args(["--connect", &url, "--clients", "1", "--seconds", "3600", "--json"])
+        .arg(&json)
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .expect("the program starts");
+    // The program handles signals before its first client connects. The client gets no answer.
+    let connection = listener.accept().expect("a client connects");
+    let killed = Command::new("kill").args(["-INT", &program.id().to_string()]).status();
+    assert!(killed.expect("kill runs").success());
+    let output = program.wait_with_output().expect("the program ends");
+    drop(connection);
+    let report = std::fs::read_to_string(&json).expect("the report so far");
+    let _ = std::fs::remove_file(&json);
+    let text = message(&output);
+    assert_eq!(output.status.code(), Some(130), "{text}");
+    assert!(text.starts_with("tombolo-load: interrupted after ") && text.lines().count() == 1, "{text}");
+    assert!(report.contains("\"interrupted\": true") && report.contains("\"chunks\": 0"), "{report}");
+    assert!(String::from_utf8_lossy(&output.stdout).contains("interrupted"), "the table is printed");
 }
 
 #[test]

@@ -88,7 +88,7 @@ pub fn encode_for(delivery: Delivery, chunk: &Chunk, world: &WorldDigest) -> Byt
 /// possible for this chunk.
 #[must_use]
 pub fn encode_with(delivery: Delivery, effort: Effort, chunk: &Chunk, world: &WorldDigest) -> Bytes {
-    let exact = || seal(KIND_EXACT, chunk, world, 0, effort, None);
+    let exact = || encode_frame(KIND_EXACT, chunk, world, 0, effort, None);
     match delivery {
         Delivery::Exact => exact(),
         Delivery::SeedOnly => seed_only::encode(chunk, world),
@@ -114,7 +114,7 @@ pub fn encode(chunk: &Chunk, world: &WorldDigest) -> Bytes {
 /// See [`ChunkError`]. A returned chunk satisfies every invariant of its type: the key exists,
 /// heights are in range, extremes and slope are those of the heights.
 pub fn decode(frame: &[u8], world: &WorldDigest) -> Result<Chunk, ChunkError> {
-    open(&Frame::read(frame, KIND_EXACT)?, world, None, None)
+    decode_frame(&Frame::read(frame, KIND_EXACT)?, world, None, None)
 }
 
 /// Verifies a whole exact or quantised frame of a world by its lengths and its digest, without
@@ -156,7 +156,7 @@ pub fn heights_on(kernel: Kernel, frame: &[u8], heights: &mut [i32; VERTEX_COUNT
 /// parent, for refined frames. A frame shorter than a header stays as it is; a seed-only frame has
 /// another header, and its decoder does all its work before it compares the digest.
 #[doc(hidden)]
-pub fn reseal(frame: &mut [u8], world: &WorldDigest, parent: Option<&[i32; VERTEX_COUNT]>) {
+pub fn rewrite_digest(frame: &mut [u8], world: &WorldDigest, parent: Option<&[i32; VERTEX_COUNT]>) {
     let refined = kind_and_key(frame).ok().filter(|(kind, _)| *kind == KIND_REFINED);
     let known = refined.zip(parent).and_then(|((_, key), parent)| Known::of(key, parent));
     let Some((header, payload)) = frame.split_first_chunk_mut::<CHUNK_HEADER>() else { return };
@@ -198,7 +198,7 @@ pub fn error(frame: &[u8]) -> Option<u32> {
 
 /// Encodes a frame with heights. `tolerance` (units) is the tolerance of rounded heights, 0 for
 /// exact ones; `known` are the heights that the receiver has.
-fn seal(
+fn encode_frame(
     kind: u8,
     chunk: &Chunk,
     world: &WorldDigest,
@@ -243,7 +243,7 @@ fn seal(
 
 /// Verifies a frame with heights and makes its chunk. `tolerance` is the coarsest that the receiver
 /// takes; none for exact heights.
-fn open(
+fn decode_frame(
     frame: &Frame<'_>,
     world: &WorldDigest,
     tolerance: Option<Tolerance>,

@@ -8,7 +8,7 @@ use std::fmt;
 pub enum CloseCode {
     /// The session ended as intended.
     Normal = 1000,
-    /// The server shuts down; reconnect after the hinted delay.
+    /// The server shuts down, or is full; reconnect after the delay of Draining or a few seconds.
     GoingAway = 1001,
     /// The peer violated RFC 6455.
     ProtocolError = 1002,
@@ -81,7 +81,7 @@ impl fmt::Display for CloseCode {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let words = match self {
             Self::Normal => "session ended",
-            Self::GoingAway => "server is shutting down",
+            Self::GoingAway => "session ended by the server",
             Self::ProtocolError => "violation of RFC 6455",
             Self::NotUtf8 => "text is not UTF-8",
             Self::TextFrame => "text frames are not part of this protocol",
@@ -127,6 +127,6 @@ mod tests {
     #[test]
     fn a_code_is_shown_in_words_with_its_number() {
         assert_eq!(CloseCode::WrongWorld.to_string(), "worlds differ (4410)");
-        assert_eq!(CloseCode::GoingAway.to_string(), "server is shutting down (1001)");
+        assert_eq!(CloseCode::GoingAway.to_string(), "session ended by the server (1001)");
     }
 }

@@ -21,7 +21,8 @@ pub const MAX_CREDIT_BYTES: u32 = 256 << 20;
 /// whole.
 pub const MAX_PENDING_REQUESTS: usize = 1024;
 
-/// Chunks selected for one view. A view that needs more gets the coarsest of them.
+/// Chunks selected for one view. A view that needs more gets the coarsest of them, and of the last
+/// level that fits in part the most urgent ones.
 pub const MAX_VIEW_CHUNKS: usize = 16 * 1024;
 
 /// Estimated chunks of a view ([`terrain::lod::estimated_chunks`]) beyond which a server refuses it

@@ -7,7 +7,10 @@
 //!
 //! | module | content |
 //! | --- | --- |
-//! | `session` | the state machine: handshake, credit, requests, delivery |
+//! | `session` | the state machine: handshake, messages, views, requests |
+//! | `session::credit` | what the client still allows, in chunks and bytes |
+//! | `session::chunks` | the next chunk, and its delivery, failure or withdrawal |
+//! | `session::in_flight` | requested chunks without a result, and which of them are stale |
 //! | `view_queue` | the active view, its pending chunks by priority, prefetch |
 //! | `view_selection` | the selection of a view's chunks, in steps of bounded cost |
 

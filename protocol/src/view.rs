@@ -125,8 +125,16 @@ impl View {
 
 /// `K` of the screen-error rule in whole pixels, at least 1; rounded up, so that no error is
 /// underestimated.
+///
+/// The same integer on every machine. Of all valid heights and fields of view, `K` is a whole
+/// number only at 90 degrees. Elsewhere it is farther from one than 2^-46 of itself (a search over
+/// all of them), which is more than the rounding of a tangent in f64.
 #[must_use]
 pub fn pixels_per_radian(viewport_height: u16, fov_mdeg: u32) -> u32 {
+    if fov_mdeg == 90_000 {
+        // The tangent of 45 degrees is 1, and less in f64.
+        return u32::from(viewport_height.div_ceil(2)).max(1);
+    }
     let k = f64::from(viewport_height) / (2.0 * (mdeg(fov_mdeg as i32) / 2.0).tan());
     (k.ceil() as u32).max(1)
 }
@@ -157,6 +165,21 @@ mod tests {
     #[test]
     fn a_sixty_degree_view_of_360_lines_has_312_pixels_per_radian() {
         assert_eq!(view().viewer().pixels_per_radian, 312);
+    }
+
+    #[test]
+    fn at_a_right_angle_k_is_half_of_the_height_rounded_up() {
+        for height in 0..=MAX_VIEWPORT {
+            assert_eq!(pixels_per_radian(height, 90_000), u32::from(height).div_ceil(2).max(1));
+        }
+    }
+
+    /// The two K that are the nearest to a whole number, by 40 digits: 5669.99999999926 (the least
+    /// distance) and 201960.9999999968 (the least share of K).
+    #[test]
+    fn k_is_rounded_up_where_it_is_nearly_whole() {
+        assert_eq!(pixels_per_radian(7_061, 63_818), 5_670);
+        assert_eq!(pixels_per_radian(16_202, 4_594), 201_961);
     }
 
     #[test]

@@ -42,7 +42,7 @@ fn decode_all(frame: &[u8], world: &WorldDigest, parent: &terrain::Chunk) -> boo
 /// Whether each read what is behind the digest.
 fn decode_resealed(mut frame: Vec<u8>, world: &WorldDigest, parent: &terrain::Chunk) -> [bool; 2] {
     let raw = decode_all(&frame, world, parent);
-    chunk_codec::reseal(&mut frame, world, Some(&parent.heights));
+    chunk_codec::rewrite_digest(&mut frame, world, Some(&parent.heights));
     [raw, decode_all(&frame, world, parent)]
 }
 

@@ -32,7 +32,10 @@ pub fn other_thread() -> Result<Runtime> {
         .context("cannot start a thread")
 }
 
-/// Threads that work without a wait, as many as processors: other programs of the machine. They end
+/// Most processors that are looked for.
+const MOST_PROCESSORS: usize = 256;
+
+/// Threads that work without a wait, one on each processor: other programs of the machine. They end
 /// when this is dropped.
 #[derive(Debug)]
 pub struct BusyThreads {
@@ -44,20 +47,46 @@ impl BusyThreads {
     /// Starts them with the nice value of a server's generation threads.
     pub fn start() -> Self {
         let must_stop = Arc::new(AtomicBool::new(false));
-        let count = std::thread::available_parallelism().map_or(1, usize::from);
-        let work = || {
+        let work = |processor: usize| {
             let must_stop = Arc::clone(&must_stop);
             std::thread::spawn(move || {
                 #[cfg(target_os = "linux")]
                 let _ = rustix::process::nice(GENERATION_NICE);
+                if !moves_to(processor) {
+                    return;
+                }
                 while !must_stop.load(Ordering::Relaxed) {
                     std::hint::spin_loop();
                 }
             })
         };
-        let threads = (0..count).map(|_| work()).collect();
+        let threads = (0..processors()).map(work).collect();
         Self { must_stop, threads }
     }
+}
+
+/// Processors that a thread may move to, whatever those of this process are: the client has other
+/// ones than the server.
+fn processors() -> usize {
+    let is_one = |processor: &usize| {
+        let processor = *processor;
+        std::thread::spawn(move || moves_to(processor)).join().unwrap_or(false)
+    };
+    (0..MOST_PROCESSORS).take_while(is_one).count()
+}
+
+/// Moves this thread to a processor. False if there is none of this number.
+#[cfg(target_os = "linux")]
+fn moves_to(processor: usize) -> bool {
+    let mut one = rustix::thread::CpuSet::new();
+    one.set(processor);
+    rustix::thread::sched_setaffinity(None, &one).is_ok()
+}
+
+/// Elsewhere the system chooses the processor.
+#[cfg(not(target_os = "linux"))]
+fn moves_to(processor: usize) -> bool {
+    processor < std::thread::available_parallelism().map_or(1, usize::from)
 }
 
 impl Drop for BusyThreads {

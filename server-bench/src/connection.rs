@@ -3,7 +3,7 @@
 //! The clients of the load test decode and verify every chunk and would be slower than the server.
 //! Here frames are compared byte for byte where a benchmark knows what must come.
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, bail, ensure};
 use protocol::limits::MAX_CREDITS;
 use protocol::message::{ClientMessage, Hello, ServerMessage, WireKey};
 use protocol::{Delivery, SUBPROTOCOL, chunk_codec, control};
@@ -251,19 +251,33 @@ pub fn frames(messages: &[ClientMessage]) -> Result<Vec<u8>> {
 }
 
 /// The body of a GET as text, for metrics.
+///
+/// # Errors
+/// The answer is not 200, or no text.
 pub async fn get(address: SocketAddr, path: &str) -> Result<String> {
     String::from_utf8(get_bytes(address, path).await?).context("the answer is no text")
 }
 
 /// The body of a GET.
+///
+/// # Errors
+/// The answer is not 200.
 pub async fn get_bytes(address: SocketAddr, path: &str) -> Result<Vec<u8>> {
+    let (is_ok, body) = answer(address, path).await?;
+    ensure!(is_ok, "{path} was not answered with 200");
+    Ok(body)
+}
+
+/// Whether a GET is answered with 200, and the body.
+pub async fn answer(address: SocketAddr, path: &str) -> Result<(bool, Vec<u8>)> {
     let mut stream = open(address).await?;
     let request = format!("GET {path} HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n\r\n");
     stream.write_all(request.as_bytes()).await?;
     let mut answer = Vec::new();
     stream.read_to_end(&mut answer).await.context("the answer is incomplete")?;
     let end = answer.windows(4).position(|four| four == b"\r\n\r\n").context("the answer has no body")?;
-    Ok(answer.split_off(end + 4))
+    let is_ok = answer.starts_with(b"HTTP/1.1 200 ");
+    Ok((is_ok, answer.split_off(end + 4)))
 }
 
 #[cfg(test)]

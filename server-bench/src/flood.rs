@@ -183,8 +183,8 @@ async fn scenario(
 
     let lost = probes.iter().filter(|latency| **latency >= PROBE_TIMEOUT).count();
     rounds.push("probes", probes.len() as f64);
-    rounds.push("probes_lost", lost as f64);
-    rounds.push("probe_worst_ms", quantile_ms(probes, 1.0));
+    rounds.push_extreme("probes_lost", lost as f64);
+    rounds.push_extreme("probe_worst_ms", quantile_ms(probes, 1.0));
     let rate = |polite: &Polite, time: Duration| polite.chunks as f64 / time.as_secs_f64();
     rounds.push("polite_chunks_share", rate(&beside, length) / rate(&alone, alone_for));
     rounds.push("polite_refused", beside.refused as f64);
@@ -193,8 +193,8 @@ async fn scenario(
     rounds.push("view_seconds", seen.view_seconds);
     rounds.push("views", seen.views);
     rounds.push("views_per_s_of_session", seen.views_per_s(sessions, length));
-    rounds.push("sessions_ended", (sessions - seen.open) as f64);
-    rounds.push("stop_s", stopped.map(|time| time.as_secs_f64()));
+    rounds.push_extreme("sessions_ended", (sessions - seen.open) as f64);
+    rounds.push_extreme("stop_s", stopped.map(|time| time.as_secs_f64()));
     all_alone.extend(alone.latencies);
     Ok(())
 }
@@ -326,11 +326,12 @@ pub fn bars(figures: &Value) -> Vec<Bar> {
     let share = whole(least(of("polite_chunks_share")));
     let alone = at(figures, "polite_p99_alone_ms").unwrap_or(f64::NAN);
     let worst_note = "the worst of all scenarios";
+    let share_note = format!("{worst_note}; a chunk counts that comes up to 2 s after the end");
     let p99_note = format!("{worst_note}; alone {alone:.2} ms, of all scenarios together");
     vec![
         Bar::at_most("flood: liveness probe, slowest", worst_of("probe_worst_ms"), "ms", 100.0)
             .with_note(worst_note),
-        Bar::at_least("flood: chunks of a polite client over alone", share, "", 0.8).with_note(worst_note),
+        Bar::at_least("flood: chunks of a polite client over alone", share, "", 0.8).with_note(share_note),
         Bar::at_most("flood: polite p99 over alone", worst_of("polite_p99_ratio"), "x", 3.0)
             .with_note(p99_note),
         Bar::reported(
@@ -338,7 +339,7 @@ pub fn bars(figures: &Value) -> Vec<Bar> {
             at(figures, "busy/polite_p99_ratio"),
             "x",
         )
-        .with_note("as many threads as cores, nice 3 like those of generation; the worst run"),
+        .with_note("a thread on each core, nice 3 like those of generation; the worst run"),
         Bar::at_most("flood: stop on SIGTERM", worst_of("stop_s"), "s", 10.0).with_note(worst_note),
         Bar::at_least(
             "flood: views a second of a session that the server counted, fewest (control)",

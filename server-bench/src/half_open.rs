@@ -114,16 +114,16 @@ async fn round(plan: &Plan, keys: &[ChunkKey], rounds: &mut Rounds, kinds: &mut 
     }
     for (rounds, stays) in kinds.iter_mut().zip(&stays) {
         rounds.push("sockets", stays.len() as f64);
-        rounds.push("longest_s", quantile_ms(stays.clone(), 1.0).map(|ms| ms / 1000.0));
+        rounds.push_extreme("longest_s", quantile_ms(stays.clone(), 1.0).map(|ms| ms / 1000.0));
         rounds.push("median_s", quantile_ms(stays.clone(), 0.5).map(|ms| ms / 1000.0));
     }
-    rounds.push("longest_s", quantile_ms(stays.concat(), 1.0).map(|ms| ms / 1000.0));
+    rounds.push_extreme("longest_s", quantile_ms(stays.concat(), 1.0).map(|ms| ms / 1000.0));
     let medians = stays.iter().filter_map(|stays| quantile_ms(stays.clone(), 0.5));
     rounds.push("least_median_s", medians.reduce(f64::min).map(|ms| ms / 1000.0));
-    rounds.push("unopened", f64::from(unopened));
+    rounds.push_extreme("unopened", f64::from(unopened));
     rounds.push("good_clients", served.len() as f64);
     rounds.push("good_p50_ms", quantile_ms(served.clone(), 0.5));
-    rounds.push("good_worst_ms", quantile_ms(served, 1.0));
+    rounds.push_extreme("good_worst_ms", quantile_ms(served, 1.0));
     sockets.shutdown_background();
     Ok(())
 }

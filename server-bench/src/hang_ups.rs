@@ -154,8 +154,8 @@ pub fn bars(figures: &Value) -> Vec<Bar> {
         Bar::none("the same: sessions, connections, jobs and threads left", of("leaked")),
         Bar::at_most("the same: memory at the end over after half", of("rss_ratio"), "x", 1.05).with_note(
             "resident, without huge pages, one of which is a tenth of it; they hang up after the connect, \
-             in and after the request of the upgrade, after the request of 16 chunks, most of which \
-             the server must generate, and in a frame; half of them with a reset",
+             in and after the request of the upgrade, after the request of 16 chunks, nearly all of \
+             which are cancelled before they are generated, and in a frame; half of them with a reset",
         ),
         Bar::reported("the same: memory at the end over after a quarter", of("rss_ratio_of_quarter"), "x")
             .with_note("the allocator's pages still grow then"),

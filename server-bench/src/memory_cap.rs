@@ -185,11 +185,13 @@ async fn unread(index: usize, address: SocketAddr, keys: &[ChunkKey], until: Ins
 pub fn bars(figures: &Value) -> Vec<Bar> {
     let was_long = at(figures, "seconds").is_some_and(|seconds| seconds >= 600.0);
     let of = |path| at(figures, path).filter(|_| was_long);
+    let has_failed = |error: &str| figures.pointer(error).is_some();
     let is_running = |run: &str| figures.pointer(run).and_then(Value::as_bool) == Some(true);
     let mut rows = vec![
         Bar::none(
             "512 MiB and 200 clients, 10 min: processes killed",
-            of("limited/killed").filter(|_| is_running("/limited/is_running")),
+            of("limited/killed")
+                .filter(|_| is_running("/limited/is_running") && !has_failed("/limited/error")),
         )
         .with_note(
             "hard limit of a control group; 150 clients with 256 requests outstanding each, 50 that never \
@@ -206,7 +208,7 @@ pub fn bars(figures: &Value) -> Vec<Bar> {
         ),
         Bar::none(
             "the same with 128 MiB, 1 min: processes killed",
-            of("small/killed").filter(|_| is_running("/small/is_running")),
+            of("small/killed").filter(|_| is_running("/small/is_running") && !has_failed("/small/error")),
         ),
         Bar::reported("the same with 128 MiB: the most memory", of("small/peak_mib"), "MiB"),
         Bar::at_least(

@@ -38,7 +38,7 @@ impl Resealer {
     /// Gives a spoilt chunk the digest of its bytes. Another message stays as it is.
     pub fn reseal(&self, payload: &mut [u8]) {
         if let Some(world) = self.world.filter(|_| payload.starts_with(&MAGIC)) {
-            chunk_codec::reseal(payload, &world, self.parent(payload));
+            chunk_codec::rewrite_digest(payload, &world, self.parent(payload));
         }
     }
 

@@ -7,22 +7,44 @@ use std::time::Duration;
 
 /// The figures of several rounds by name.
 #[derive(Clone, Debug, Default)]
-pub struct Rounds(BTreeMap<&'static str, Vec<Option<f64>>>);
+pub struct Rounds(BTreeMap<&'static str, Figures>);
+
+/// A figure of each round.
+#[derive(Clone, Debug, Default)]
+struct Figures {
+    rounds: Vec<Option<f64>>,
+    /// Whether the largest one stands for all: a median would outvote the round that it is of.
+    is_extreme: bool,
+}
+
+impl Figures {
+    /// The median, or the largest; none if a round lacks the figure.
+    fn all(&self) -> Option<f64> {
+        let largest = || self.rounds.iter().copied().reduce(|one, other| Some(one?.max(other?))).flatten();
+        if self.is_extreme { largest() } else { median(self.rounds.iter().copied()) }
+    }
+}
 
 impl Rounds {
-    /// Adds a round's figure.
+    /// Adds a round's figure, whose median counts.
     pub fn push(&mut self, name: &'static str, figure: impl Into<Option<f64>>) {
-        self.0.entry(name).or_default().push(figure.into());
+        self.0.entry(name).or_default().rounds.push(figure.into());
     }
 
-    /// Adds to an object each figure as the median of the rounds, and all rounds as `NAME_rounds`.
-    /// A figure that a round lacks has no median.
+    /// Adds a round's figure, of which the largest of all rounds counts: what must happen in none.
+    pub fn push_extreme(&mut self, name: &'static str, figure: impl Into<Option<f64>>) {
+        let figures = self.0.entry(name).or_default();
+        figures.is_extreme = true;
+        figures.rounds.push(figure.into());
+    }
+
+    /// Adds to an object each figure as the median or the largest of the rounds, and all rounds as
+    /// `NAME_rounds`. A figure that a round lacks has neither.
     pub fn add_to(self, mut object: Value) -> Value {
         let fields = object.as_object_mut().map(std::mem::take).unwrap_or_default();
-        let medians =
-            self.0.iter().map(|(name, rounds)| ((*name).into(), json!(median(rounds.iter().copied()))));
-        let rounds = self.0.iter().map(|(name, rounds)| (format!("{name}_rounds"), json!(rounds)));
-        Value::Object(fields.into_iter().chain(medians).chain(rounds).collect::<Map<_, _>>())
+        let all = self.0.iter().map(|(name, figures)| ((*name).into(), json!(figures.all())));
+        let rounds = self.0.iter().map(|(name, figures)| (format!("{name}_rounds"), json!(figures.rounds)));
+        Value::Object(fields.into_iter().chain(all).chain(rounds).collect::<Map<_, _>>())
     }
 }
 
@@ -60,6 +82,17 @@ mod tests {
             "clients": 9, "a": 2.0, "a_rounds": [3.0, 1.0, 2.0], "b": null, "b_rounds": [1.0, null, 1.0],
         });
         assert_eq!(rounds.add_to(json!({ "clients": 9 })), expected);
+    }
+
+    #[test]
+    fn no_round_outvotes_an_extreme() {
+        let mut rounds = Rounds::default();
+        for (a, b) in [(Some(3.0), Some(1.0)), (Some(9.0), None), (Some(2.0), Some(2.0))] {
+            rounds.push_extreme("a", a);
+            rounds.push_extreme("b", b);
+        }
+        let all = rounds.add_to(json!({}));
+        assert_eq!((&all["a"], &all["b"]), (&json!(9.0), &json!(null)));
     }
 
     #[test]

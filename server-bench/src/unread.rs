@@ -93,11 +93,11 @@ async fn round(plan: &Plan, keys: &[ChunkKey], rounds: &mut Rounds) -> Result<()
     rounds.push("p99_ms", beside.p99_ms());
     rounds.push("p99_ratio", beside.p99_ms() / alone.p99_ms());
     rounds.push("healthy_chunks_share", beside.chunks as f64 / alone.chunks as f64);
-    rounds.push("peak_rss_mib", server.process.peak_rss_bytes()? as f64 / 1_048_576.0);
-    rounds.push("longest_stay_s", longest.as_secs_f64());
-    rounds.push("left_at_the_end", left as f64);
+    rounds.push_extreme("peak_rss_mib", server.process.peak_rss_bytes()? as f64 / 1_048_576.0);
+    rounds.push_extreme("longest_stay_s", longest.as_secs_f64());
+    rounds.push_extreme("left_at_the_end", left as f64);
     rounds.push("most_sessions", samples.iter().map(|(_, open)| *open).max().map(|open| open as f64));
-    rounds.push("panics", f64::from(server.panics()));
+    rounds.push_extreme("panics", f64::from(server.panics()));
     drop(clients);
     dead.shutdown_background();
     Ok(())

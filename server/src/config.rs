@@ -143,7 +143,8 @@ impl Default for ServerConfig {
 
 impl ServerConfig {
     /// Generation jobs that may be queued or running. No number of peers fills the default: each
-    /// session has 16 at most, each connection one, and the map's tiles 8 each.
+    /// session has 16 at most, each connection one, and the map's tiles 8 each. At most 96 tiles
+    /// are made at a time, however many threads there are.
     #[must_use]
     pub fn job_limit(&self) -> usize {
         self.max_jobs.unwrap_or_else(|| self.max_sessions.saturating_mul(16 + 1).saturating_add(1024))

@@ -3,11 +3,12 @@
 //! A hand-written accept loop around hyper instead of `axum::serve`: hyper enforces its header
 //! timeout only when it is given a timer, and upgraded sockets have to be counted and drained.
 
-use crate::config::{EXTRA_CONNECTIONS, ServerConfig};
-use crate::connections::{ConnectionFailure, ConnectionState, OpenConnection, OpenConnections};
+mod accept;
+mod places;
+
+use crate::config::ServerConfig;
+use crate::connections::{ConnectionFailure, ConnectionState};
 use crate::http;
-use crate::limits::per_ip::{IpPermit, PerIpLimiter};
-use crate::limits::system_buffers;
 use crate::limits::write_timeout::WriteTimeoutStream;
 use crate::memory::mark;
 use crate::proxy::proxy_protocol;
@@ -15,41 +16,29 @@ use crate::reload;
 use crate::session::end::EndReason;
 use crate::state::ServerState;
 use crate::tls::PeerStream;
+use accept::AcceptFailures;
 use axum::body::Body;
 use hyper::body::Incoming;
 use hyper::server::conn::http1;
 use hyper::service::service_fn;
 use hyper_util::rt::{TokioIo, TokioTimer};
+use places::{HeldPlace, Places};
 use rayon::ThreadPoolBuildError;
+use std::io;
 use std::net::{IpAddr, SocketAddr};
 use std::sync::Arc;
 use std::time::Duration;
-use std::{io, mem};
 use tokio::net::{TcpListener, TcpSocket, TcpStream};
-use tokio::sync::{OwnedSemaphorePermit, Semaphore};
-use tokio::time::{Instant, timeout};
+use tokio::time::timeout;
 use tokio_util::either::Either;
 use tokio_util::task::{AbortOnDropHandle, TaskTracker};
 use tower::ServiceExt;
-
-/// When fewer permits are free, each connection that is accepted displaces one
-/// ([`OpenConnections::displace_for`]). A place becomes free within [`DISPLACEMENT`]; until then
-/// the permits suffice for the next ones. Without a permit a connection is closed: accepting never
-/// waits.
-const RESERVED_CONNECTIONS: usize = EXTRA_CONNECTIONS / 4;
 
 /// Time in which a displaced connection may finish its request.
 const DISPLACEMENT: Duration = Duration::from_millis(250);
 
 /// Limit of hyper's buffer for one request's headers, bytes.
 const HEADER_BUFFER: usize = 16 * 1024;
-
-/// Pause after a failed accept. The usual cause is a lack of file descriptors, which an immediate
-/// retry would meet again.
-const ACCEPT_RETRY: Duration = Duration::from_millis(100);
-
-/// Time between two lines about failed accepts.
-const ACCEPT_LOG_INTERVAL: Duration = Duration::from_secs(60);
 
 /// Connections that the system keeps until they are accepted; Linux bounds it by
 /// `net.core.somaxconn`, 4,096 by default. Beyond it the system drops the handshake of a new
@@ -100,20 +89,16 @@ pub async fn run(
         Arc::clone(&state.metrics),
         state.open_sessions.clone(),
     )));
+    let _peer_log = AbortOnDropHandle::new(tokio::spawn(Arc::clone(&state.peer_log).run()));
     let router = http::router(Arc::clone(&state));
     let connections = TaskTracker::new();
-    let total = state.config.max_connections();
-    let permits = Arc::new(Semaphore::new(total));
-    // A session releases its connection's permits when it starts, so these count requests,
-    // downloads, and connections that have sent nothing yet.
-    let per_ip = state.config.connections_per_ip();
-    let places = Places { permits, per_ip, open: OpenConnections::default() };
+    let places = Places::new(&state.config);
     let mut failures = AcceptFailures::default();
     tokio::pin!(shutdown);
     loop {
         let (stream, peer) = tokio::select! {
             () = &mut shutdown => break,
-            stream = accept(&listener, state.config.write_timeout, &mut failures) => stream,
+            stream = accept::accept(&listener, state.config.write_timeout, &mut failures) => stream,
         };
         let peer = peer.ip().to_canonical();
         // The connections of a proxy are those of all its clients.
@@ -137,6 +122,7 @@ pub async fn run(
         tracing::warn!(sessions = state.sessions.len(), "drain timed out with open sessions");
     }
     state.generation.close().await;
+    state.peer_log.write();
     tracing::info!("stopped");
     Ok(())
 }
@@ -160,115 +146,6 @@ fn warn_of_openness(state: &ServerState, listener: &TcpListener) {
     }
     if !state.gate.requires_token() {
         tracing::warn!("without tokens: every client that reaches this address may open sessions");
-    }
-}
-
-/// Accepts one connection, retrying after failures. The system ends it when its peer takes no bytes
-/// for `write_timeout`.
-async fn accept(
-    listener: &TcpListener,
-    write_timeout: Duration,
-    failures: &mut AcceptFailures,
-) -> (TcpStream, SocketAddr) {
-    loop {
-        match listener.accept().await {
-            Ok((stream, peer)) => {
-                // Messages are written whole; Nagle's algorithm would only delay the last packet.
-                let _ = stream.set_nodelay(true);
-                system_buffers::limit(&stream, write_timeout);
-                return (stream, peer);
-            }
-            Err(error) => {
-                if let Some(failures) = failures.record(Instant::now()) {
-                    tracing::warn!(%error, failures, "cannot accept a connection");
-                }
-                tokio::time::sleep(ACCEPT_RETRY).await;
-            }
-        }
-    }
-}
-
-/// Failed accepts: there are ten a second while file descriptors lack, and one line a minute.
-#[derive(Debug, Default)]
-struct AcceptFailures {
-    logged: Option<Instant>,
-    /// Failures since then.
-    count: u64,
-}
-
-impl AcceptFailures {
-    /// Counts a failure; if a line is due, the failures since the last one.
-    fn record(&mut self, now: Instant) -> Option<u64> {
-        self.count += 1;
-        if self.logged.is_some_and(|logged| now.saturating_duration_since(logged) < ACCEPT_LOG_INTERVAL) {
-            return None;
-        }
-        self.logged = Some(now);
-        Some(mem::take(&mut self.count))
-    }
-}
-
-/// Places of connections: in all, by client network, and the open connections of clients.
-#[derive(Clone)]
-struct Places {
-    permits: Arc<Semaphore>,
-    per_ip: PerIpLimiter,
-    open: OpenConnections,
-}
-
-/// The place of a connection, released on drop.
-struct HeldPlace {
-    places: Places,
-    #[expect(dead_code, reason = "held for its drop")]
-    permit: OwnedSemaphorePermit,
-    /// None of a proxy.
-    client: Option<ClientPlace>,
-}
-
-/// The part of a client in a place, released on drop.
-struct ClientPlace {
-    connection: OpenConnection,
-    #[expect(dead_code, reason = "held for its drop")]
-    ip_permit: IpPermit,
-}
-
-impl Places {
-    /// The place of a connection; none if there is none, or if the client's network has all of its
-    /// own.
-    fn take(&self, peer: IpAddr, is_proxy: bool, state: &ServerState) -> Option<HeldPlace> {
-        let permit = Arc::clone(&self.permits).try_acquire_owned().ok();
-        let ip_permit = if is_proxy { None } else { Some(self.permit_of(peer, state)?) };
-        if self.permits.available_permits() < RESERVED_CONNECTIONS && self.open.displace_for(peer) {
-            let reason = ConnectionFailure::Displaced.name();
-            state.metrics.limits.connection_failed(reason);
-        }
-        let Some(permit) = permit else {
-            state.metrics.limits.connections_rejected.inc();
-            return None;
-        };
-        let client = ip_permit.map(|ip_permit| self.client_place(peer, ip_permit));
-        Some(HeldPlace { places: self.clone(), permit, client })
-    }
-
-    /// The permit of a client; none if its network has all of its own.
-    fn permit_of(&self, client: IpAddr, state: &ServerState) -> Option<IpPermit> {
-        let permit = self.per_ip.try_acquire(Some(client), self.permits.available_permits());
-        if permit.is_none() {
-            state.metrics.limits.connections_rejected.inc();
-            state.peer_log.report(Some(client), "too many connections");
-        }
-        permit
-    }
-
-    fn client_place(&self, client: IpAddr, ip_permit: IpPermit) -> ClientPlace {
-        ClientPlace { connection: self.open.add(client), ip_permit }
-    }
-}
-
-impl HeldPlace {
-    /// The state of the connection; of a proxy's one that nothing displaces.
-    fn state(&self) -> Arc<ConnectionState> {
-        self.client.as_ref().map(|client| client.connection.state()).unwrap_or_default()
     }
 }
 
@@ -323,8 +200,9 @@ async fn open(
         // A proxy that asks for itself has no client.
         if let Some(named) = named.map_err(|error| failure(peer, ConnectionFailure::ProxyHeader, &error))? {
             client = named.to_canonical();
-            let Some(ip_permit) = place.places.permit_of(client, state) else { return Ok(None) };
-            place.client = Some(place.places.client_place(client, ip_permit));
+            if !place.add_client(client, state) {
+                return Ok(None);
+            }
         }
     }
     let stream = match &state.config.tls {
@@ -371,6 +249,10 @@ async fn serve_requests(
         }
     });
     let stream = WriteTimeoutStream::new(stream, state.config.write_timeout);
+    // Without `half_close`: the end of a client's direction is the only sign that it no longer
+    // waits for its response, as a page for a map tile after a move. Its request is cancelled;
+    // otherwise it would keep its turn and its places, those of a tile for 10 s. In consequence a
+    // client that ends its direction after its request (`nc -N`) gets no response.
     let connection = http1::Builder::new()
         .timer(TokioTimer::new())
         .header_read_timeout(state.config.handshake_timeout)
@@ -401,17 +283,26 @@ async fn serve_requests(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use axum::http::StatusCode;
+    use axum::routing::get;
     use futures_util::FutureExt;
+    use std::future::pending;
+    use tokio::io::AsyncWriteExt;
     use tokio::sync::oneshot;
 
-    #[test]
-    fn failed_accepts_have_one_line_a_minute_with_their_number() {
-        let (mut failures, start) = (AcceptFailures::default(), Instant::now());
-        assert_eq!(failures.record(start), Some(1));
-        let soon = (1..600).filter_map(|n| failures.record(start + ACCEPT_RETRY * n)).count();
-        assert_eq!(soon, 0);
-        assert_eq!(failures.record(start + ACCEPT_LOG_INTERVAL), Some(600));
-        assert_eq!(failures.record(start + ACCEPT_LOG_INTERVAL), None);
+    #[tokio::test]
+    async fn the_request_of_a_client_that_ends_its_direction_is_cancelled() {
+        let listener = bind(([127, 0, 0, 1], 0).into()).unwrap();
+        let client = TcpStream::connect(listener.local_addr().unwrap());
+        let (client, accepted) = tokio::join!(client, listener.accept());
+        let (mut client, (stream, peer)) = (client.unwrap(), accepted.unwrap());
+        client.write_all(b"GET / HTTP/1.1\r\nHost: localhost\r\n\r\n").await.unwrap();
+        client.shutdown().await.unwrap();
+        let router = axum::Router::new().route("/", get(pending::<StatusCode>));
+        let state = ServerState::new(ServerConfig { threads: 1, ..ServerConfig::default() }).unwrap();
+        let open = Arc::default();
+        let served = serve_requests(Either::Left(stream), peer.ip(), &open, router, &state);
+        timeout(Duration::from_secs(30), served).await.expect("nothing is served to its end");
     }
 
     #[tokio::test]

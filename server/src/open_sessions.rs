@@ -74,10 +74,15 @@ impl SessionStats {
     /// Waits until the session has to end.
     pub async fn ends(&self) -> Ending {
         self.ends.notified().await;
-        match self.ending.load(Ordering::Relaxed) {
-            ending if ending == Ending::Displaced as u8 => Ending::Displaced,
-            _ => Ending::Memory,
-        }
+        // There is one: it is stored before the notice.
+        self.ending().unwrap_or(Ending::Memory)
+    }
+
+    /// Why the session has to end, the latest cause; none if it has not.
+    #[must_use]
+    pub fn ending(&self) -> Option<Ending> {
+        let ending = self.ending.load(Ordering::Relaxed);
+        [Ending::Memory, Ending::Displaced].into_iter().find(|known| *known as u8 == ending)
     }
 
     fn figures(&self) -> SessionFigures {

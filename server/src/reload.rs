@@ -81,14 +81,18 @@ impl<'a, T: Send + 'static> File<'a, T> {
         Self { name, failed, read, replace, reading: None, failure: None }
     }
 
-    /// Reads it again, or waits on for the read that has not ended.
+    /// Reads it again, after the end of an earlier read that took too long.
     async fn reload(&mut self, is_asked: bool) {
-        // The result of an earlier read, which took too long, may be out of date.
-        self.reading.take_if(|reading| reading.is_finished());
-        let read = Arc::clone(&self.read);
-        // Files may be on a slow disk.
-        let reading = self.reading.get_or_insert_with(|| spawn_blocking(move || read()));
-        let outcome = match timeout(READ_TIMEOUT, &mut *reading).await {
+        let (reading, read) = (&mut self.reading, Arc::clone(&self.read));
+        let newest = async {
+            if let Some(late) = reading {
+                // Its result may be out of date.
+                let _ = late.await;
+            }
+            // Files may be on a slow disk.
+            reading.insert(spawn_blocking(move || read())).await
+        };
+        let outcome = match timeout(READ_TIMEOUT, newest).await {
             Ok(content) => {
                 self.reading = None;
                 // A panic is reported by its hook.
@@ -168,7 +172,7 @@ mod tests {
             let (reads, used) = (Arc::clone(&reads), Arc::clone(&used));
             let read = move || {
                 let read = reads.fetch_add(1, Ordering::Relaxed);
-                if read == 0 {
+                if read % 2 == 0 {
                     ended.lock().unwrap().recv().unwrap();
                 }
                 Ok(read)
@@ -178,19 +182,29 @@ mod tests {
                 Reloaded::Changed
             })
         };
-        for _ in 0..2 {
-            tokio::join!(file.reload(true), advance(READ_TIMEOUT + Duration::from_millis(1)));
-            // No time passes for the thread that reads.
-            while reads.load(Ordering::Relaxed) == 0 {
-                yield_now().await;
+        for late in [0, 2] {
+            for _ in 0..2 {
+                tokio::join!(file.reload(true), advance(READ_TIMEOUT + Duration::from_millis(1)));
+                // No time passes for the thread that reads.
+                while reads.load(Ordering::Relaxed) == late {
+                    yield_now().await;
+                }
+                assert_eq!((failed.get(), reads.load(Ordering::Relaxed)), (1, late + 1));
             }
-            assert_eq!((failed.get(), reads.load(Ordering::Relaxed)), (1, 1));
+            if late == 0 {
+                end.send(()).unwrap();
+                while !file.reading.as_ref().unwrap().is_finished() {
+                    yield_now().await;
+                }
+                file.reload(true).await;
+            } else {
+                // It ends while the next one waits.
+                tokio::join!(file.reload(true), async {
+                    end.send(()).unwrap();
+                });
+            }
+            assert_eq!((failed.get(), used.lock().unwrap().last()), (0, Some(&(late + 1))));
         }
-        end.send(()).unwrap();
-        while !file.reading.as_ref().unwrap().is_finished() {
-            yield_now().await;
-        }
-        file.reload(true).await;
-        assert_eq!((failed.get(), &*used.lock().unwrap()), (0, &vec![1]));
+        assert_eq!(*used.lock().unwrap(), [1, 3]);
     }
 }

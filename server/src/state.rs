@@ -19,7 +19,7 @@ use crate::traces::Traces;
 use protocol::server::ServerOffer;
 use rayon::ThreadPoolBuildError;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, AtomicUsize};
+use std::sync::atomic::AtomicU64;
 use terrain::Land;
 use tokio::sync::Semaphore;
 use tokio_util::sync::CancellationToken;
@@ -71,8 +71,6 @@ pub struct ServerState {
     pub traces: Traces,
     /// Work per client network.
     pub rate_limiter: RateLimiter,
-    /// Sessions that are not read for a while after rejections.
-    pub paused_sessions: AtomicUsize,
     /// Number of the next session.
     pub next_session: AtomicU64,
 }
@@ -134,7 +132,6 @@ impl ServerState {
             draining: CancellationToken::new(),
             sessions: TaskTracker::new(),
             session_permits: Arc::new(Semaphore::new(config.max_sessions)),
-            paused_sessions: AtomicUsize::new(0),
             next_session: AtomicU64::new(1),
             rate_limiter: RateLimiter::new(config.rate_limit_ms),
             traces: Traces::new(config.traces.as_ref()),

@@ -2,7 +2,8 @@
 //!
 //! Changing any of them changes the world: bump [`GENERATOR_VERSION`] with it.
 
-/// Version of the height formula and of the grass record. Part of the world digest.
+/// Version of the height formula, of the grass record and of the errors of chunks. Part of the
+/// world digest.
 pub const GENERATOR_VERSION: u32 = 4;
 
 /// Position and height units per metre: both are multiples of 2^-8 m.

@@ -89,7 +89,8 @@ pub struct Needed {
 /// that would otherwise be drawn beside one two levels finer ([`balance`]): level borders can then
 /// be closed vertex by vertex. Contains every ancestor of a needed chunk up to
 /// [`Viewer::top_level`], so that something coarse can be drawn until the fine chunks arrive. Stops
-/// at `limit` chunks (coarse ones are found first).
+/// at `limit` chunks: coarse ones are found first, and in the level that does not fit the children
+/// of the most urgent splits.
 #[must_use]
 pub fn select(land: &Land, viewer: &Viewer, limit: usize) -> Vec<Needed> {
     Selector::new(land, viewer, limit).finish()

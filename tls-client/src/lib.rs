@@ -8,7 +8,7 @@
 use rustls::crypto::ring;
 use rustls::pki_types::pem::PemObject;
 use rustls::pki_types::{CertificateDer, ServerName};
-use rustls::{ClientConfig, RootCertStore};
+use rustls::{CertificateError, ClientConfig, RootCertStore};
 use std::fs::File;
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
@@ -33,7 +33,7 @@ pub enum TlsError {
         cause: String,
     },
     /// A file for an address without TLS.
-    #[error("the address is without TLS; give a wss:// address or leave the file out")]
+    #[error("a ws:// address has no TLS, so no certificate; give a wss:// address or leave the file out")]
     Unused,
     /// The system has no authorities.
     #[error(
@@ -104,11 +104,24 @@ impl TlsClient {
     }
 }
 
-/// A failed handshake with what to do about it.
+/// A failed handshake with what to do about it. Authorities are the remedy for an unknown one alone.
 fn explained(error: &io::Error) -> io::Error {
     let cause = error.get_ref().and_then(|cause| cause.downcast_ref::<rustls::Error>());
     let remedy = match cause {
-        Some(rustls::Error::InvalidCertificate(_)) => "name its certificate authority with --ca-file",
+        Some(rustls::Error::InvalidCertificate(why)) => match why {
+            CertificateError::UnknownIssuer => "name its certificate authority with --ca-file",
+            CertificateError::Expired | CertificateError::ExpiredContext { .. } => {
+                "renew the server's certificate, or correct this machine's clock"
+            }
+            CertificateError::NotValidYet | CertificateError::NotValidYetContext { .. } => {
+                "correct this machine's clock, or wait until the certificate is valid"
+            }
+            CertificateError::NotValidForName | CertificateError::NotValidForNameContext { .. } => {
+                "connect to a name or an address that the certificate has"
+            }
+            CertificateError::BadSignature => "the trusted authority of that name has another key",
+            _ => "the server needs another certificate",
+        },
         Some(rustls::Error::InvalidMessage(_)) => "the server speaks no TLS, connect with ws://",
         _ => return io::Error::new(error.kind(), format!("TLS handshake: {error}")),
     };
@@ -144,6 +157,7 @@ fn authorities_of(path: &Path) -> Result<RootCertStore, TlsError> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use rustls::pki_types::UnixTime;
 
     /// Linux has a device without an end.
     #[cfg(target_os = "linux")]
@@ -166,6 +180,32 @@ mod tests {
         assert!(matches!(TlsClient::of_scheme(Some("ws"), file), Err(TlsError::Unused)));
         assert!(matches!(TlsClient::of_scheme(Some("ws"), None), Ok(None)));
         assert!(matches!(TlsClient::of_scheme(Some("wss"), file), Err(TlsError::File { .. })));
+    }
+
+    #[test]
+    fn only_an_unknown_authority_is_remedied_by_a_file_of_authorities() {
+        let now = UnixTime::since_unix_epoch(std::time::Duration::from_secs(1));
+        let name = ServerName::try_from("terrain.example").unwrap();
+        for (why, remedy) in [
+            (CertificateError::UnknownIssuer, "--ca-file"),
+            (CertificateError::Expired, "renew"),
+            (CertificateError::ExpiredContext { time: now, not_after: now }, "renew"),
+            (CertificateError::NotValidYet, "clock"),
+            (CertificateError::NotValidYetContext { time: now, not_before: now }, "clock"),
+            (CertificateError::NotValidForName, "name or an address"),
+            (
+                CertificateError::NotValidForNameContext { expected: name, presented: vec!["other".into()] },
+                "name or an address",
+            ),
+            (CertificateError::BadSignature, "another key"),
+            (CertificateError::Revoked, "another certificate"),
+        ] {
+            let is_unknown = why == CertificateError::UnknownIssuer;
+            let failed = io::Error::new(io::ErrorKind::InvalidData, rustls::Error::from(why));
+            let text = explained(&failed).to_string();
+            assert!(text.contains(remedy) && text.contains(&failed.to_string()), "{text}");
+            assert_eq!(text.contains("--ca-file"), is_unknown, "{text}");
+        }
     }
 
     #[test]

@@ -80,14 +80,15 @@ pub struct GuardedSession {
 }
 
 impl GuardedSession {
-    /// A session before its handshake. Delays of retries double from `first` to at most `longest`.
+    /// A session before its handshake. The first and the longest delay of retries, and the seed of
+    /// their jitter.
     #[must_use]
-    pub fn new(config: ClientConfig, first: Duration, longest: Duration) -> Self {
+    pub fn new(config: ClientConfig, delays: (Duration, Duration), retry_seed: u64) -> Self {
         Self {
             is_refined: config.delivery == Delivery::Refined,
             session: ClientSession::new(config),
             expected: ExpectedChunks::default(),
-            retries: Retries::new(first, longest),
+            retries: Retries::new(delays, retry_seed),
             is_open: false,
             lost_key: false,
             is_draining: false,
@@ -319,7 +320,7 @@ mod tests {
     fn session() -> GuardedSession {
         let (digest, token, software) = (None, None, String::new());
         let config = ClientConfig { digest, delivery: Delivery::Refined, token, software, window: 16 };
-        GuardedSession::new(config, Duration::from_millis(100), Duration::from_secs(5))
+        GuardedSession::new(config, (Duration::from_millis(100), Duration::from_secs(5)), 1)
     }
 
     /// One bad chunk of level 2 costs the chunks of two levels that refine it. The control is a

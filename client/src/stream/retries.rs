@@ -21,6 +21,7 @@ pub struct Retries {
     chunks: BTreeMap<ChunkKey, Retry>,
     first: Duration,
     longest: Duration,
+    seed: u64,
 }
 
 #[derive(Debug)]
@@ -32,10 +33,11 @@ struct Retry {
 }
 
 impl Retries {
-    /// None yet. The delay before a request doubles from `first` to at most `longest`.
+    /// None yet. The delay before a request doubles from the first to at most the longest. Clients
+    /// with different seeds do not request the same chunk together.
     #[must_use]
-    pub const fn new(first: Duration, longest: Duration) -> Self {
-        Self { chunks: BTreeMap::new(), first, longest }
+    pub const fn new((first, longest): (Duration, Duration), seed: u64) -> Self {
+        Self { chunks: BTreeMap::new(), first, longest, seed }
     }
 
     /// Adds a chunk that was bad or refused, once more or for the first time. False if there are
@@ -44,9 +46,9 @@ impl Retries {
         if !self.chunks.contains_key(&key) && self.chunks.len() >= MAX_RETRIES {
             return false;
         }
-        let (first, longest) = (self.first, self.longest);
+        let (first, longest, seed) = (self.first, self.longest, self.seed);
         let retry = self.chunks.entry(key).or_insert_with(|| {
-            let seed = u64::from(key.x() as u32) << 32 | u64::from(key.z() as u32);
+            let seed = seed ^ (u64::from(key.x() as u32) << 32 | u64::from(key.z() as u32));
             Retry { due: Duration::ZERO, is_requested: false, backoff: Backoff::new(first, longest, seed) }
         });
         (retry.due, retry.is_requested) = (now + retry.backoff.next_delay(), false);
@@ -129,7 +131,7 @@ mod tests {
 
     #[test]
     fn delays_grow_and_a_chunk_that_arrived_is_not_requested_again() {
-        let mut retries = Retries::new(MS(100), MS(1000));
+        let mut retries = Retries::new((MS(100), MS(1000)), 1);
         assert_eq!(retries.next(false), None);
         let (mut now, mut last) = (Duration::ZERO, Duration::ZERO);
         for attempt in 0..8 {
@@ -147,10 +149,21 @@ mod tests {
     }
 
     #[test]
+    fn two_clients_do_not_request_a_chunk_together() {
+        let due = |seed| {
+            let mut retries = Retries::new((MS(100), MS(1000)), seed);
+            assert!(retries.add(key(1), MS(0)));
+            retries.next(false)
+        };
+        assert_ne!(due(1), due(2));
+        assert_eq!(due(1), due(1));
+    }
+
+    #[test]
     fn a_chunk_that_waits_for_its_parent_has_no_time_of_its_own() {
         let child = key(1);
         let parent = child.parent().unwrap();
-        let mut retries = Retries::new(MS(100), MS(1000));
+        let mut retries = Retries::new((MS(100), MS(1000)), 1);
         assert!(retries.add(child, MS(0)) && retries.add(parent, MS(0)));
         assert_eq!(retries.take_due(MS(5000), |_| true, true), [parent]);
         assert!(retries.is_requested(parent) && !retries.is_requested(child));
@@ -164,7 +177,7 @@ mod tests {
 
     #[test]
     fn chunks_are_bounded_and_those_out_of_view_are_forgotten() {
-        let mut retries = Retries::new(MS(1), MS(1));
+        let mut retries = Retries::new((MS(1), MS(1)), 1);
         for x in 0..MAX_RETRIES as i32 {
             assert!(retries.add(key(x), Duration::ZERO));
         }

@@ -185,7 +185,7 @@ fn nan_header(key: ChunkKey) -> Option<Bytes> {
 const NAN: [u8; 4] = 0x7fc0_0000_u32.to_le_bytes();
 
 fn resealed(mut frame: Vec<u8>) -> Bytes {
-    chunk_codec::reseal(&mut frame, &server::land().digest(), None);
+    chunk_codec::rewrite_digest(&mut frame, &server::land().digest(), None);
     frame.into()
 }
 

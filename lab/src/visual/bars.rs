@@ -179,8 +179,9 @@ const NOTES: [&str; 9] = [
      are no borders and lie at the same distances. One pair in a thousand crosses the edge of a shadow, \
      where light changes threefold: p99.9 shows jumps of that size alone. The bar of the median is half \
      of the least contrast that an eye sees.",
-    "Shadow: sun at 15 degrees; pixels that lose at least 30 % of their luminance by the shadow of the land; \
-     mean of a pose, median of poses with at least 200 such pixels. Noon: sun at 60 degrees.",
+    "Shadow: sun at 15 degrees; pixels from which the land hides the middle of the sun, on ground that is \
+     turned to the sun at least as far as level ground; mean of a pose, median of poses with at least 200 \
+     such pixels. Noon: sun at 60 degrees.",
     "Power spectrum: luminance of 256 x 256 pixels straight below the eye, linear, before tone mapping; \
      geometric mean over a third as many places. Octaves of wavelengths against a power that falls as \
      the frequency to the -2.4: twice the mean exponent of the amplitude of 135 photographs (Tolhurst, \
@@ -188,7 +189,8 @@ const NOTES: [&str; 9] = [
     "Lifted eyes: in the ground at steep places, lifted as the viewer does; 5 lenses from 30 to 170 \
      degrees x vertical scales of 1, 1.8 and 4; land before magenta.",
     "Floors: share of the sun from pictures with and without objects, wrong if it differs by 0.25 from \
-     rays in f64; six poses of 320 x 180.",
+     that of 61 rays in f64 over the sun's disc, past the shapes without their reliefs; six poses of \
+     320 x 180.",
     "Impostors: trees between 1 and 1.4 times the distance where impostors begin, 640 x 360, no wind; \
      pixels that show one in either picture. Light and pixels: without shadows of trees.",
     "Shadows of trees: 8,000 places of a wood, share of the sun wrong if it differs by 0.1 from 61 rays \

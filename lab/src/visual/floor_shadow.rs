@@ -1,7 +1,9 @@
-//! Shadows of objects on the floor of the parallax scenes against a truth in f64.
+//! Shadows of objects on the floor of the parallax scenes against rays in f64 over the sun's disc.
 //!
 //! The share of the sun at a pixel of the floor follows from three pictures: of the scene, of the
-//! floor alone, and of the floor with the sun blocked.
+//! floor alone, and of the floor with the sun blocked. The rays meet the shapes of the objects
+//! without their reliefs; nothing of them is a rule of the shader, whose planes and cubes have hard
+//! shadows and whose capsules have soft edges of a fixed width.
 
 use crate::pom::renderer::{Light, PomRenderer};
 use client::camera::{Pose, Projection};
@@ -13,6 +15,7 @@ use client::settings::Show;
 use glam::{DQuat, DVec3};
 use half::f16;
 use serde::Serialize;
+use shaders::layout::SUN_RADIUS;
 
 /// Picture size, pixels.
 const SIZE: (u32, u32) = (320, 180);
@@ -30,6 +33,9 @@ const POSES: [(Scene, &str); 6] = [
 
 /// Share of the sun, 0 to 1, by which a pixel must differ from the truth to be wrong.
 const WRONG: f64 = 0.25;
+
+/// Rays over the sun's disc.
+const RAYS: u32 = 61;
 
 /// Farthest place of the floor that counts, metres.
 const FARTHEST_M: f64 = 40.0;
@@ -70,6 +76,7 @@ fn add(renderer: &mut PomRenderer, scene: Scene, pose: Pose, sum: &mut FloorShad
     let others: Vec<Object> = all.iter().filter(|object| !is_floor(object)).copied().collect();
     let pom = PomSettings::default();
     let sun = sun_of(renderer, pose);
+    let rays = rays_to(sun);
     let blocker =
         Object { shape: Shape::Cube { half_m: 200.0 }, ..Object::ball(600.0 * sun, 1.0, glam::Vec3::ZERO) };
     let covered = renderer.cover(&others, pose, pom)?;
@@ -85,11 +92,12 @@ fn add(renderer: &mut PomRenderer, scene: Scene, pose: Pose, sum: &mut FloorShad
         if !share.is_finite() {
             continue;
         }
-        let truth = |at_m| others.iter().map(|object| sun_share(object, at_m, sun)).fold(1.0, f64::min);
+        let truth = sun_share(&others, at_m, &rays);
+        let moved = sun_share(&others, at_m + CONTROL_M * DVec3::X, &rays);
         sum.pixels += 1;
-        sum.shaded += usize::from(truth(at_m) < 0.5);
-        sum.wrong += usize::from((share - truth(at_m)).abs() > WRONG);
-        sum.control += usize::from((share - truth(at_m + CONTROL_M * DVec3::X)).abs() > WRONG);
+        sum.shaded += usize::from(truth < 0.5);
+        sum.wrong += usize::from((share - truth).abs() > WRONG);
+        sum.control += usize::from((share - moved).abs() > WRONG);
     }
     Ok(())
 }
@@ -119,52 +127,106 @@ fn on_floor(pose: &Pose, pixel: usize, height_m: f64) -> Option<DVec3> {
     (way > 0.0 && way * ray.length() < FARTHEST_M).then(|| pose.position_m + ray * way)
 }
 
-/// Share of the sun that an object leaves at a place: the rules of `pom_object_shadow.wesl`.
-fn sun_share(object: &Object, at_m: DVec3, sun: DVec3) -> f64 {
-    let turn: DQuat = object.turn.as_dquat().conjugate();
-    let from_m = turn * (at_m - object.position_m);
-    let to_sun = turn * sun;
-    let half = match object.shape {
-        Shape::Capsule { radius_m, half_length_m } => {
-            return capsule_sun_share(from_m, to_sun, [radius_m, half_length_m].map(f64::from));
-        }
-        Shape::Plane { width_m, height_m } => {
-            DVec3::new(0.5 * f64::from(width_m), 0.5 * f64::from(height_m), 0.02)
-        }
-        Shape::Cube { half_m } => DVec3::splat(f64::from(half_m)),
-    };
-    let ways = -from_m / to_sun;
-    let spans = (half / to_sun).abs();
-    let (enter, leave) = ((ways - spans).max_element(), (ways + spans).min_element());
-    if enter < leave && leave > 0.0 && enter > 1e-3 { 0.0 } else { 1.0 }
+/// Unit vectors to places that are spread evenly over the sun's disc (H. Vogel, "A better way to
+/// construct the sunflower head", 1979).
+fn rays_to(sun: DVec3) -> Vec<DVec3> {
+    let side = sun.any_orthonormal_vector();
+    let above = sun.cross(side);
+    let rays = (0..RAYS).map(|ray| {
+        let out = ((f64::from(ray) + 0.5) / f64::from(RAYS)).sqrt() * SUN_RADIUS;
+        let (sin, cos) = (2.399_963 * f64::from(ray)).sin_cos();
+        (sun + out * (cos * side + sin * above)).normalize()
+    });
+    rays.collect()
 }
 
-fn capsule_sun_share(from_m: DVec3, sun: DVec3, [radius_m, half_length_m]: [f64; 2]) -> f64 {
-    let across = (1.0 - sun.z * sun.z).max(1e-4);
-    let reach = ((from_m.z - sun.z * from_m.dot(sun)) / across).clamp(-half_length_m, half_length_m);
-    let to_axis = DVec3::new(0.0, 0.0, reach) - from_m;
-    let along = to_axis.dot(sun);
-    if along <= 0.0 {
-        return 1.0;
+/// Share of the sun that objects leave at a place: of the rays to it those that meet none of them.
+fn sun_share(objects: &[Object], at_m: DVec3, rays: &[DVec3]) -> f64 {
+    let is_open = |ray: &&DVec3| !objects.iter().any(|object| is_met(object, at_m, **ray));
+    rays.iter().filter(is_open).count() as f64 / rays.len() as f64
+}
+
+/// Whether a ray meets an object: a rectangle without thickness, a cube, or a cylinder with a ball
+/// at either end. A ray along a face divides by 0 and meets nothing.
+fn is_met(object: &Object, from_m: DVec3, ray: DVec3) -> bool {
+    let turn: DQuat = object.turn.as_dquat().conjugate();
+    let (from_m, ray) = (turn * (from_m - object.position_m), turn * ray);
+    match object.shape {
+        Shape::Plane { width_m, height_m } => {
+            let way = -from_m.z / ray.z;
+            let at_m = from_m + way * ray;
+            way > 0.0 && at_m.x.abs() < 0.5 * f64::from(width_m) && at_m.y.abs() < 0.5 * f64::from(height_m)
+        }
+        Shape::Cube { half_m } => (0..3).any(|axis| {
+            let half_m = f64::from(half_m);
+            let others = [(axis + 1) % 3, (axis + 2) % 3];
+            [-half_m, half_m].iter().any(|face_m| {
+                let way = (face_m - from_m[axis]) / ray[axis];
+                let at_m = from_m + way * ray;
+                way > 0.0 && others.iter().all(|other| at_m[*other].abs() < half_m)
+            })
+        }),
+        Shape::Capsule { radius_m, half_length_m } => {
+            let (radius_m, half_m) = (f64::from(radius_m), f64::from(half_length_m));
+            let is_ball_met = |end_m: f64| {
+                let to_m = end_m * DVec3::Z - from_m;
+                let along = to_m.dot(ray);
+                along > 0.0 && to_m.length_squared() - along * along < radius_m * radius_m
+            };
+            let (start_m, across) = (from_m.truncate(), ray.truncate());
+            let (square, middle) = (across.length_squared(), start_m.dot(across));
+            // No number where the ray passes the cylinder.
+            let root = (middle * middle - square * (start_m.length_squared() - radius_m * radius_m)).sqrt();
+            let is_side_met = [-root, root].iter().any(|root| {
+                let way = (root - middle) / square;
+                way > 0.0 && (from_m.z + way * ray.z).abs() < half_m
+            });
+            is_side_met || is_ball_met(half_m) || is_ball_met(-half_m)
+        }
     }
-    let gap = (to_axis - sun * along).length() - radius_m;
-    let part = ((gap / along.max(0.1) + 0.006) / 0.012).clamp(0.0, 1.0);
-    part * part * (3.0 - 2.0 * part)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
+    /// Share of a sun in the zenith that an object leaves at a place, metres east and south.
+    fn left_at(object: Object, x: f64, z: f64) -> f64 {
+        sun_share(&[object], DVec3::new(x, 0.0, z), &rays_to(DVec3::Y))
+    }
+
+    fn ball() -> Object {
+        Object::ball(DVec3::new(0.0, 2.0, 0.0), 0.5, glam::Vec3::ZERO)
+    }
+
     #[test]
     fn a_ball_shades_what_lies_behind_it_and_nothing_else() {
-        let ball = Object::ball(DVec3::new(0.0, 2.0, 0.0), 0.5, glam::Vec3::ZERO);
-        let up = DVec3::Y;
-        assert_eq!(sun_share(&ball, DVec3::ZERO, up), 0.0);
-        assert_eq!(sun_share(&ball, DVec3::new(0.6, 0.0, 0.0), up), 1.0);
-        assert_eq!(sun_share(&ball, DVec3::new(0.0, 4.0, 0.0), up), 1.0);
-        let edge = sun_share(&ball, DVec3::new(0.5, 0.0, 0.0), up);
-        assert!((0.3..0.7).contains(&edge), "{edge}");
+        assert_eq!(left_at(ball(), 0.0, 0.0), 0.0);
+        assert_eq!(left_at(ball(), 0.6, 0.0), 1.0);
+        assert_eq!(sun_share(&[ball()], DVec3::new(0.0, 4.0, 0.0), &rays_to(DVec3::Y)), 1.0);
+    }
+
+    #[test]
+    fn every_shape_shades_its_outline_and_half_of_the_sun_at_its_rim() {
+        let capsule = Object {
+            shape: Shape::Capsule { radius_m: 0.5, half_length_m: 1.0 },
+            turn: glam::Quat::IDENTITY,
+            ..ball()
+        };
+        let cube = Object { shape: Shape::Cube { half_m: 1.0 }, turn: glam::Quat::IDENTITY, ..ball() };
+        let plane = Object { shape: Shape::Plane { width_m: 2.0, height_m: 4.0 }, ..ball() };
+        for (object, inside, outside, rim) in [
+            (ball(), [0.3, 0.3], [0.4, 0.4], [0.5, 0.0]),
+            (capsule, [0.45, 0.9], [0.4, 1.4], [0.5, 0.5]),
+            (capsule, [0.0, 1.4], [0.0, 1.6], [0.0, 1.5]),
+            (cube, [0.9, -0.9], [1.1, 0.0], [1.0, 0.0]),
+            (plane, [0.9, 1.9], [1.1, 0.0], [0.0, -2.0]),
+        ] {
+            assert_eq!(left_at(object, inside[0], inside[1]), 0.0, "{object:?}");
+            assert_eq!(left_at(object, outside[0], outside[1]), 1.0, "{object:?}");
+            let rim = left_at(object, rim[0], rim[1]);
+            assert!((0.4..0.6).contains(&rim), "{rim} at {object:?}");
+        }
     }
 
     #[test]

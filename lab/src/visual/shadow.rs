@@ -1,9 +1,16 @@
 //! Light in shadow: what the ground keeps of its luminance where the land hides the sun, after tone
 //! mapping, and the darkest ground at noon.
+//!
+//! The shape of the land decides which pixels are in shadow: the measured luminance would choose
+//! those that lose much of it. A pixel counts if the land hides the middle of the sun from it, and
+//! if its ground is turned to the sun at least as far as level ground. Ground that is turned away
+//! has little sunlight to lose, with shadow or without.
 
 use super::views::{Shot, Views};
 use client::gpu::GpuError;
-use client::settings::{Shadows, Show, SunPosition};
+use client::lighting::SunLight;
+use client::settings::{RenderSettings, Shadows, Show, SunPosition};
+use glam::Vec3;
 use serde::Serialize;
 
 /// A sun whose shadows fill valleys.
@@ -12,8 +19,8 @@ const LOW: SunPosition = SunPosition { azimuth_deg: 250.0, elevation_deg: 15.0 }
 /// Noon.
 const HIGH: SunPosition = SunPosition { azimuth_deg: 180.0, elevation_deg: 60.0 };
 
-/// Share of its light that a pixel in shadow must lose at least, or it is a rim of a shadow.
-const LOST: f64 = 0.3;
+/// Rounding of the cosine of a normal and the sun, by half floats.
+const ROUNDING: f32 = 0.002;
 
 /// Pixels in shadow that a pose must have to count.
 const LEAST_PIXELS: usize = 200;
@@ -38,19 +45,23 @@ pub struct Shadow {
 pub fn measure(views: &mut Views) -> Result<Shadow, GpuError> {
     let mut shares = Vec::new();
     let (mut noon_pixels, mut black_at_noon) = (0, 0);
+    let to_sun = direction(LOW);
     for case in views.cases.clone() {
-        let ground = views.light(&case, Shot { show: Show::Chunks, ..Shot::IMAGE })?;
+        let ground = views.light(&case, Shot { show: Show::Normals, ..Shot::IMAGE })?;
         let is_ground = |pixel: usize| ground[pixel][3] < 0.0;
         let shot = Shot { sun: LOW, ..Shot::IMAGE };
+        // Hard shadows take all sunlight where the middle of the sun is hidden, and none elsewhere.
+        let hard = views.light(&case, Shot { show: Show::Light, shadows: Shadows::Hard, ..shot })?;
+        let open = views.light(&case, Shot { show: Show::Light, shadows: Shadows::Off, ..shot })?;
+        let is_hidden = |pixel: usize| hard[pixel][1] < open[pixel][1];
         let with = views.image(&case, shot)?;
         let without = views.image(&case, Shot { shadows: Shadows::Off, ..shot })?;
         let pixels = with.rgba.chunks_exact(4).zip(without.rgba.chunks_exact(4)).enumerate();
         let (mut dark, mut lit, mut count) = (0.0, 0.0, 0);
         for (pixel, (with, without)) in pixels {
-            let (with, without) = (luminance(with), luminance(without));
-            if is_ground(pixel) && with < (1.0 - LOST) * without {
-                dark += with;
-                lit += without;
+            if is_ground(pixel) && is_hidden(pixel) && is_turned_to(to_sun, normal_of(ground[pixel])) {
+                dark += luminance(with);
+                lit += luminance(without);
                 count += 1;
             }
         }
@@ -68,6 +79,22 @@ pub fn measure(views: &mut Views) -> Result<Shadow, GpuError> {
     Ok(Shadow { poses: shares.len(), over_light, noon_pixels, black_at_noon })
 }
 
+/// Unit vector to a sun.
+fn direction(sun: SunPosition) -> Vec3 {
+    let settings = RenderSettings { sun: Some(sun), ..RenderSettings::default() };
+    SunLight { sun: Vec3::Y, exposure: 1.0 }.with_settings(&settings).sun
+}
+
+/// The normal that the debug view shows as a colour.
+fn normal_of([red, green, blue, _]: [f32; 4]) -> Vec3 {
+    Vec3::new(red, green, blue).powf(1.0 / 2.2) * 2.0 - 1.0
+}
+
+/// Whether ground with a normal gets at least as much sunlight as level ground.
+fn is_turned_to(sun: Vec3, normal: Vec3) -> bool {
+    normal.dot(sun) >= sun.y - ROUNDING
+}
+
 /// Linear luminance of an sRGB pixel, 0 to 1 (IEC 61966-2-1, BT.709).
 fn luminance(rgba: &[u8]) -> f64 {
     let linear = |channel: u8| {
@@ -80,6 +107,18 @@ fn luminance(rgba: &[u8]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn level_and_sunward_ground_counts_and_ground_turned_away_does_not() {
+        let sun = direction(LOW);
+        let counts = |normal: Vec3| {
+            let [red, green, blue] = (normal * 0.5 + 0.5).powf(2.2).to_array();
+            is_turned_to(sun, normal_of([red, green, blue, -1.0]))
+        };
+        let slope = |toward: f32| Vec3::new(toward * sun.x, 1.0, toward * sun.z).normalize();
+        assert!(counts(Vec3::Y) && counts(slope(0.3)) && counts(slope(1.0)));
+        assert!(!counts(slope(-0.1)) && !counts(slope(-0.3)), "control");
+    }
 
     #[test]
     fn luminance_is_linear_and_weighted() {

@@ -30,7 +30,15 @@ impl fmt::Display for Report {
             ),
         };
         let mut rows = vec![
-            ("clients", format!("{} for {:.1} s", self.clients, self.seconds)),
+            (
+                "clients",
+                format!(
+                    "{} for {:.1} s{}",
+                    self.clients,
+                    self.seconds,
+                    if self.interrupted { ", interrupted" } else { "" }
+                ),
+            ),
             ("load", format!("{} mode, path {}, {pace}", self.mode, self.path)),
             ("delivery", self.delivery.to_owned()),
             (

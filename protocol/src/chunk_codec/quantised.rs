@@ -4,7 +4,7 @@
 //! the chunk grows by the largest displacement of its vertices; the header states the tolerance.
 
 use super::entropy::Effort;
-use super::{Frame, KIND_QUANTISED, open, seal};
+use super::{Frame, KIND_QUANTISED, decode_frame, encode_frame};
 use crate::delivery::Tolerance;
 use crate::error::ChunkError;
 use bytes::Bytes;
@@ -34,7 +34,7 @@ pub fn quantise(chunk: &Chunk, tolerance: Tolerance) -> Option<Chunk> {
 #[must_use]
 pub fn encode(chunk: &Chunk, world: &WorldDigest, tolerance: Tolerance, effort: Effort) -> Option<Bytes> {
     let chunk = quantise(chunk, tolerance)?;
-    Some(seal(KIND_QUANTISED, &chunk, world, tolerance.units(), effort, None))
+    Some(encode_frame(KIND_QUANTISED, &chunk, world, tolerance.units(), effort, None))
 }
 
 /// The tolerance that a quantised frame states; none if it is no such frame.
@@ -48,5 +48,5 @@ pub fn tolerance(frame: &[u8]) -> Option<Tolerance> {
 /// # Errors
 /// As [`super::decode`]; [`ChunkError::Tolerance`] for a coarser one.
 pub fn decode(frame: &[u8], world: &WorldDigest, tolerance: Tolerance) -> Result<Chunk, ChunkError> {
-    open(&Frame::read(frame, KIND_QUANTISED)?, world, Some(tolerance), None)
+    decode_frame(&Frame::read(frame, KIND_QUANTISED)?, world, Some(tolerance), None)
 }

@@ -10,7 +10,7 @@
 use super::entropy::Effort;
 use super::kernel::{self, Heights, Kernel, zigzag};
 use super::parts::{self, Scratch};
-use super::{Frame, KIND_REFINED, open, seal};
+use super::{Frame, KIND_REFINED, decode_frame, encode_frame};
 use crate::error::ChunkError;
 use crate::reference_window;
 use bytes::Bytes;
@@ -32,7 +32,7 @@ const LACKING: usize = VERTEX_COUNT - KNOWN * KNOWN;
 pub fn encode(chunk: &Chunk, parent: &Chunk, world: &WorldDigest, effort: Effort) -> Option<Bytes> {
     let known = Known::of(chunk.key, &parent.heights).filter(|_| chunk.key.parent() == Some(parent.key))?;
     (known == Known::in_chunk(&chunk.heights))
-        .then(|| seal(KIND_REFINED, chunk, world, 0, effort, Some(&known)))
+        .then(|| encode_frame(KIND_REFINED, chunk, world, 0, effort, Some(&known)))
 }
 
 /// As [`encode`] without the parent, for chunks of a land: if the parent's level is one of
@@ -43,7 +43,7 @@ pub fn encode_alone(chunk: &Chunk, world: &WorldDigest, effort: Effort) -> Optio
     let parent = chunk.key.parent()?;
     let known =
         reference_window::LEVELS.contains(&parent.level()).then(|| Known::in_chunk(&chunk.heights))?;
-    Some(seal(KIND_REFINED, chunk, world, 0, effort, Some(&known)))
+    Some(encode_frame(KIND_REFINED, chunk, world, 0, effort, Some(&known)))
 }
 
 /// Decodes one whole refined frame of a world with the chunk's parent.
@@ -66,7 +66,7 @@ pub fn decode(frame: &[u8], world: &WorldDigest, parent: &Chunk) -> Result<Chunk
 pub fn decode_over(frame: &[u8], world: &WorldDigest, parent: &Heights) -> Result<Chunk, ChunkError> {
     let frame = Frame::read(frame, KIND_REFINED)?;
     let known = Known::of(frame.key, parent).ok_or(ChunkError::Parent(frame.key))?;
-    open(&frame, world, None, Some(&known))
+    decode_frame(&frame, world, None, Some(&known))
 }
 
 /// The vertices of a chunk that its parent has, row by row.

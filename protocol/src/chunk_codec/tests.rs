@@ -45,7 +45,7 @@ fn kinds(chunk: &Chunk, world: &WorldDigest) -> Vec<(Bytes, Decode)> {
 fn signed(mut frame: Vec<u8>, world: &WorldDigest) -> Vec<u8> {
     let refined = kind_and_key(&frame).ok().filter(|(kind, _)| *kind == KIND_REFINED);
     let parent = refined.and_then(|(_, key)| key.parent()).map(|key| Land::new(1).chunk_heights(key));
-    reseal(&mut frame, world, parent.as_deref());
+    rewrite_digest(&mut frame, world, parent.as_deref());
     frame
 }
 

@@ -27,7 +27,7 @@ struct ActiveView {
     pending: Vec<(u64, ChunkKey)>,
     /// Prefetch: not needed yet but soon, most urgent last; requested when the view is settled.
     ahead: Vec<(u64, ChunkKey)>,
-    /// Number of views in which each pending chunk has been waiting.
+    /// Number of earlier views at whose end each chunk of this view was needed and not held.
     waited: FxHashMap<ChunkKey, u32>,
     settled: bool,
 }
@@ -44,13 +44,16 @@ impl ViewQueue {
     }
 
     /// Starts the selection of the queued view; none if no view waits or a selection is running.
-    pub(super) fn take(&mut self, land: &Land) -> Option<ViewSelection> {
+    /// The chunks of the active view that the client does not hold by now have waited in one more
+    /// view.
+    pub(super) fn take(&mut self, land: &Land, held: &HeldChunks) -> Option<ViewSelection> {
         if !self.can_take() {
             return None;
         }
         let view = self.queued.take()?;
         self.selecting = Some(view.id);
-        let waited = self.active.as_mut().map(|old| std::mem::take(&mut old.waited)).unwrap_or_default();
+        let mut waited = self.active.as_mut().map(|old| std::mem::take(&mut old.waited)).unwrap_or_default();
+        waited.retain(|key, _| !held.contains(*key));
         Some(ViewSelection::new(land, view, waited))
     }
 

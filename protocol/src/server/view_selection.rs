@@ -15,7 +15,8 @@ use terrain::{ChunkKey, Land};
 pub struct ViewSelection {
     view: View,
     phase: Phase,
-    /// Number of earlier views in which each chunk was pending.
+    /// Of the chunks that the view before this one needs and the client does not hold: number of
+    /// still earlier views of which the same was true.
     waited_before: FxHashMap<ChunkKey, u32>,
     selected: Selected,
 }
@@ -31,7 +32,7 @@ pub(super) struct Selected {
     pub needed: Vec<(u64, ChunkKey)>,
     /// Chunks that the view will need soon, most urgent last.
     pub ahead: Vec<(u64, ChunkKey)>,
-    /// Number of views, this one included, in which each chunk was pending, less 1.
+    /// Number of earlier views at whose end each chunk was needed and not held.
     pub waited: FxHashMap<ChunkKey, u32>,
 }
 

@@ -1,6 +1,7 @@
 //! Deliveries: exact, seed-only, quantised.
 
 use crate::pair::{Pair, config, next_request, offer, seed_only, send, view, welcome_frame, wire_keys};
+use bytes::Bytes;
 use protocol::client::{ClientConfig, ClientSession, Event};
 use protocol::message::ClientMessage;
 use protocol::server::{ServerOffer, ServerSession};
@@ -48,8 +49,16 @@ fn a_chunk_without_heights_reserves_no_more_bytes_than_its_frame() {
         server.receive(DataFrame::Binary(&frame)).unwrap();
     }
     send(&mut server, &ClientMessage::Request { id: 1, keys: wire_keys(5) });
-    send(&mut server, &ClientMessage::CreditBytes { bytes: 3 * limits::SEED_ONLY_FRAME as u32 });
-    assert_eq!(std::iter::from_fn(|| next_request(&mut server)).count(), 3);
+    let frame = limits::SEED_ONLY_FRAME as u32;
+    send(&mut server, &ClientMessage::CreditBytes { bytes: 3 * frame });
+    let in_flight: Vec<_> = std::iter::from_fn(|| next_request(&mut server)).collect();
+    assert_eq!(in_flight.len(), 3);
+    // An exact frame costs all its bytes.
+    server.deliver(in_flight[0], Bytes::from(vec![0; 1_000]));
+    send(&mut server, &ClientMessage::CreditBytes { bytes: 1_000 - 1 });
+    assert_eq!(next_request(&mut server), None, "less than a frame is left");
+    send(&mut server, &ClientMessage::CreditBytes { bytes: 1 });
+    assert!(next_request(&mut server).is_some());
 }
 
 /// The result of one chunk frame at a welcomed client.

@@ -64,6 +64,30 @@ fn released_chunks_are_sent_again_and_held_chunks_are_not() {
     assert_eq!((resumed.delivered, resumed.settled()), (0, vec![(1, keys.len() as u32)]));
 }
 
+/// The control is a chunk that was never sent.
+#[test]
+fn a_chunk_does_not_age_while_the_client_holds_it() {
+    let mut server = welcomed(limits::MAX_CREDITS);
+    send(&mut server, &ClientMessage::View(view(1, 300)));
+    let first: Vec<_> = std::iter::from_fn(|| next_request(&mut server)).collect();
+    let (unsent, sent) = first.split_first().unwrap();
+    sent.iter().for_each(|request| server.deliver(*request, Bytes::from_static(b"chunk")));
+    (2..=9).for_each(|id| send(&mut server, &ClientMessage::View(view(id, 300))));
+    let released: Vec<_> = sent.iter().map(|request| request.key.into()).collect();
+    send(&mut server, &ClientMessage::Release { keys: released });
+    send(&mut server, &ClientMessage::View(view(10, 300)));
+    server.fail(*unsent, RefusalReason::Failed, "");
+    send(&mut server, &ClientMessage::View(view(11, 300)));
+    let again: Vec<_> = std::iter::from_fn(|| next_request(&mut server)).collect();
+    assert_eq!(again.len(), first.len());
+    for before in &first {
+        let now = again.iter().find(|request| request.key == before.key).unwrap();
+        // The 10 views before this one; views 9 and 10, at whose ends it was released.
+        let age = if before.key == unsent.key { 10 } else { 2 };
+        assert_eq!(now.priority, before.priority / 16 * (16 + age), "{}", now.key);
+    }
+}
+
 #[test]
 fn an_invalid_view_is_refused_and_the_session_continues() {
     let mut pair = Pair::new(64);

@@ -129,20 +129,19 @@ impl Target {
     /// 3.2.2), or `Host`. None without both, which only HTTP/1.0 may do.
     ///
     /// # Errors
-    /// The host is malformed or missing, or there are several.
+    /// A host is malformed, or there are several `Host`, or none in HTTP/1.1, whatever the URI (RFC
+    /// 9112, section 3.2).
     pub fn of(uri: &Uri, headers: &HeaderMap, version: Version) -> Result<Option<Self>, MalformedHost> {
-        if let Some(authority) = uri.authority() {
-            return Self::parse(authority).map(Some);
-        }
         let mut values = headers.get_all(HOST).iter();
-        let Some(value) = values.next() else {
-            return if version < Version::HTTP_11 { Ok(None) } else { Err(MalformedHost) };
+        let host = match (values.next(), values.next()) {
+            (None, _) if version < Version::HTTP_11 => None,
+            (Some(value), None) => {
+                let authority: Authority = value.as_bytes().try_into().map_err(|_| MalformedHost)?;
+                Some(Self::parse(&authority)?)
+            }
+            _ => return Err(MalformedHost),
         };
-        if values.next().is_some() {
-            return Err(MalformedHost);
-        }
-        let authority: Authority = value.as_bytes().try_into().map_err(|_| MalformedHost)?;
-        Self::parse(&authority).map(Some)
+        uri.authority().map_or(Ok(host), |authority| Self::parse(authority).map(Some))
     }
 
     fn parse(authority: &Authority) -> Result<Self, MalformedHost> {
@@ -252,10 +251,16 @@ mod tests {
         // RFC 9112, section 3.2.
         assert_eq!(of(&root, &headers), Err(MalformedHost));
         assert_eq!(Target::of(&root, &headers, Version::HTTP_10), Ok(None));
+        assert_eq!(of(&uri, &headers), Err(MalformedHost));
+        let old = Target::of(&uri, &headers, Version::HTTP_10).unwrap().unwrap();
+        assert_eq!(old.host, "evil.example");
         headers.insert(HOST, "localhost".parse().unwrap());
         assert_eq!(of(&uri, &headers).unwrap().unwrap().host, "evil.example");
         headers.append(HOST, "evil.example".parse().unwrap());
-        assert_eq!(of(&root, &headers), Err(MalformedHost));
+        for uri in [&root, &uri] {
+            assert_eq!(of(uri, &headers), Err(MalformedHost));
+            assert_eq!(Target::of(uri, &headers, Version::HTTP_10), Err(MalformedHost));
+        }
         for host in ["localhost:", "localhost:65535", "[::1]:0"] {
             headers.insert(HOST, host.parse().unwrap());
             assert!(of(&root, &headers).is_ok(), "{host}");
@@ -271,6 +276,7 @@ mod tests {
         ] {
             headers.insert(HOST, host.parse().unwrap());
             assert_eq!(of(&root, &headers), Err(MalformedHost), "{host}");
+            assert_eq!(of(&uri, &headers), Err(MalformedHost), "{host}");
         }
     }
 

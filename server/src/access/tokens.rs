@@ -146,7 +146,7 @@ fn parse(text: &str) -> Result<TokenSet, String> {
     let is_of_list = |line: &str| line.trim_start().starts_with(['[', '#']);
     if !(text.lines().any(is_of_list) || is_of_structure(first)) {
         let token = first.trim();
-        check_length(token).map_err(|why| format!("the first line {why}"))?;
+        check_token(token).map_err(|why| format!("the first line {why}"))?;
         return Ok(TokenSet::one(token));
     }
     let list: List = toml::from_str(text).map_err(|error| {
@@ -167,7 +167,7 @@ fn parse(text: &str) -> Result<TokenSet, String> {
         if name.is_empty() || name != shown {
             return Err(format!("the name `{shown}` must have 1 to 64 printable characters"));
         }
-        check_length(&token).map_err(|why| format!("the token of `{name}` {why}"))?;
+        check_token(&token).map_err(|why| format!("the token of `{name}` {why}"))?;
         let expires =
             expires.map(|end| moment(&end)).transpose().map_err(|why| format!("`{name}`: {why}"))?;
         let token = Token { name: name.into(), digest: TokenDigest::of(&token), expires };
@@ -199,13 +199,17 @@ fn is_of_structure(line: &str) -> bool {
     })
 }
 
-/// The length that [`protocol::message::Hello`] can carry.
-fn check_length(token: &str) -> Result<(), String> {
-    if (1..=MAX_TEXT).contains(&token.len()) {
-        Ok(())
-    } else {
-        Err(format!("must hold 1 to {MAX_TEXT} bytes"))
+/// What [`protocol::message::Hello`] and `Authorization` can both carry. A subprotocol entry
+/// carries any bytes, in base64url.
+fn check_token(token: &str) -> Result<(), String> {
+    if !(1..=MAX_TEXT).contains(&token.len()) {
+        return Err(format!("must hold 1 to {MAX_TEXT} bytes"));
     }
+    // Spaces around a header's value are no part of it (RFC 9110, section 5.5).
+    if token != token.trim() || !token.bytes().all(|byte| matches!(byte, b' '..=b'~')) {
+        return Err("must be printable ASCII without a space at its start or end".to_owned());
+    }
+    Ok(())
 }
 
 fn moment(end: &toml::value::Datetime) -> Result<SystemTime, String> {
@@ -246,6 +250,29 @@ mod tests {
         for text in ["", "\nsecret", &"x".repeat(MAX_TEXT + 1)] {
             assert!(parse(text).unwrap_err().contains("1 to 256 bytes"));
         }
+    }
+
+    /// Before, such a token was in use, and no request could send it.
+    #[test]
+    fn a_token_that_no_header_can_carry_is_refused() {
+        let entry = |token: &str| format!("[[token]]\nname = \"a\"\ntoken = \"{token}\"\n");
+        for (text, entry) in [
+            ("schlüssel".to_owned(), "the first line"),
+            ("two\twords".to_owned(), "the first line"),
+            (entry("schlüssel"), "the token of `a`"),
+            (entry("two\\twords"), "the token of `a`"),
+            (entry("line\\n"), "the token of `a`"),
+            (entry(" hush"), "the token of `a`"),
+            (entry("hush "), "the token of `a`"),
+        ] {
+            let message = parse(&text).unwrap_err();
+            assert!(message.starts_with(entry) && message.contains("printable ASCII"), "{text}: {message}");
+            assert!(!message.contains('\n') && !message.contains("hush"), "{message}");
+        }
+        // The control: all that a header can carry.
+        let all: String = ('!'..='~').filter(|letter| !"\\\"".contains(*letter)).collect();
+        let set = parse(&entry(&format!("a {all}"))).unwrap();
+        assert_eq!(find(&set, &format!("a {all}"), at(0)), Known::Valid("a".into()));
     }
 
     /// Else anybody who knows the format could guess the token.

@@ -1,4 +1,4 @@
-//! The flows that have requests in flight, and the numbers of client networks.
+//! Flows that share the threads, counted by site, and the numbers of client networks.
 
 use super::queue::{FlowId, FlowPath, SiteId};
 use super::threads::{Mutex, MutexGuard};

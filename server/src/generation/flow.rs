@@ -58,6 +58,8 @@ pub struct Flow {
     selection: Option<oneshot::Receiver<ViewSelection>>,
     /// Requests without a received result, a view job included.
     open: u32,
+    /// Whether it is counted as the flow of a paused session.
+    is_paused: bool,
     /// Whether it takes no frame in the fast encoding.
     must_be_compact: bool,
     /// Charged for generation and bytes sent. The caller checks it before a request.
@@ -82,6 +84,7 @@ impl Flow {
             receiver,
             selection: None,
             open: 0,
+            is_paused: false,
             must_be_compact: false,
             bucket,
         }
@@ -244,6 +247,16 @@ impl Flow {
         }
     }
 
+    /// Records whether the session of this flow is paused.
+    pub fn set_paused(&mut self, is_paused: bool) {
+        match (self.is_paused, is_paused) {
+            (false, true) => self.shared.paused.add(self.turns),
+            (true, false) => self.shared.paused.remove(self.turns),
+            _ => {}
+        }
+        self.is_paused = is_paused;
+    }
+
     pub(super) fn id(&self) -> FlowId {
         self.download.as_ref().map_or(self.turns.flow, |download| download.id)
     }
@@ -310,6 +323,7 @@ async fn received(selection: &mut Option<oneshot::Receiver<ViewSelection>>) -> O
 
 impl Drop for Flow {
     fn drop(&mut self) {
+        self.set_paused(false);
         if self.open > 0 {
             let (dropped, charges) = {
                 let mut queue = self.shared.lock();
@@ -467,6 +481,27 @@ mod tests {
             // The control: sessions that are sites of their own.
             assert_eq!(last < 220, has_sites, "{last} of {}", generated.len());
         }
+    }
+
+    #[tokio::test]
+    async fn a_paused_session_has_a_share_of_its_site() {
+        let service = fixture(1 << 20, 10).service;
+        let session = |site| service.session(Some(IpAddr::from([10, 0, 0, site])), TokenBucket::default());
+        let mut many: Vec<_> = (0..10).map(|_| session(1)).collect();
+        let mut other = session(2);
+        assert_eq!(service.sharers(&other), 1);
+        for _ in 0..2 {
+            many.iter_mut().for_each(|flow| flow.set_paused(true));
+            other.set_paused(true);
+        }
+        // Those of one site do not lengthen the pauses of another.
+        assert_eq!((service.sharers(&many[0]), service.sharers(&other)), (11, 2));
+        other.set_paused(false);
+        assert_eq!((service.sharers(&many[0]), service.sharers(&other)), (10, 1));
+        many.truncate(4);
+        assert_eq!(service.sharers(&many[0]), 4, "an ended session is not paused");
+        drop(many);
+        assert_eq!(service.shared.paused.len(), 0);
     }
 
     #[tokio::test]

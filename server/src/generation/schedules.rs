@@ -1,4 +1,4 @@
-//! The single flight in many schedules of its threads.
+//! The request coalescing in many schedules of its threads.
 //!
 //! Shuttle runs each test with every switch of threads at a lock, a spawn or a yield chosen by it:
 //! at random, or by the method of Burckhardt et al., "A randomized scheduler with probabilistic
@@ -76,7 +76,7 @@ fn service(threads: usize) -> (Generation, Counts) {
     (Generation::new(source, limits, Arc::new(Metrics::default())).unwrap(), counts)
 }
 
-/// A planted bug of the single flight.
+/// A planted bug of the request coalescing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Bug {
     /// The cache is looked up before the lock of the queue is taken: a chunk that is finished in

@@ -82,6 +82,7 @@ impl Generation {
             limits,
             next_flow: AtomicU64::new(0),
             active: ActiveFlows::default(),
+            paused: ActiveFlows::default(),
             metrics,
         };
         Ok(Self { shared: Arc::new(shared), threads: Arc::new(threads) })
@@ -144,10 +145,12 @@ impl Generation {
         self.shared.limits.deadline
     }
 
-    /// Equal shares of a thread of which a flow has one, at least 1.
+    /// Equal shares of a thread of which a flow has one, at least 1: by the flows with requests or
+    /// by those of paused sessions, whichever is more.
     #[must_use]
     pub fn sharers(&self, flow: &Flow) -> usize {
-        self.shared.active.shares(flow.turns()).div_ceil(self.shared.limits.threads).max(1)
+        let Shared { active, paused, limits, .. } = &*self.shared;
+        active.shares(flow.turns()).max(paused.shares(flow.turns())).div_ceil(limits.threads)
     }
 
     /// Waits a bounded time for the pending writes and releases the folder of the disk cache. For

@@ -52,6 +52,9 @@ pub struct Shared {
     /// Flows with requests in flight: those that share the threads, whether or not their queue is
     /// empty at the moment.
     pub active: ActiveFlows,
+    /// Flows of paused sessions. They share the threads too, with or without requests: otherwise
+    /// each of many sessions that send nothing but refused views would get a whole share.
+    pub paused: ActiveFlows,
     pub metrics: Arc<Metrics>,
 }
 

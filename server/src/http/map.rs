@@ -4,7 +4,7 @@ use crate::http::chunk::problem;
 use crate::http::conditional::{Representation, etag, immutable_cache_control};
 use crate::http::path::{ChunkPathRequest, Query, over_rate};
 use crate::http::problem::{Problem, ProblemKind};
-use crate::map::tiles::MapError;
+use crate::map::tiles::{MapError, Requester};
 use crate::state::ServerState;
 use axum::extract::State;
 use axum::response::Response;
@@ -16,7 +16,9 @@ pub async fn get(
     request: ChunkPathRequest,
 ) -> Result<Response, Problem> {
     let (key, bucket) = request.admit(&state, ".png", Query::Style).await?;
-    let tile = state.map.tile(key, request.client.address, &state.generation, &bucket).await;
+    let client = request.client.address;
+    let requester = Requester { client, generation: &state.generation, bucket: &bucket };
+    let tile = state.map.tile(key, requester).await;
     let tile = tile.map_err(|error| match error {
         MapError::Busy => Problem::new(ProblemKind::MapBusy, error.to_string()),
         MapError::OverRate => over_rate(),

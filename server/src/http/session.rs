@@ -4,7 +4,9 @@ use crate::access::gate::Refusal;
 use crate::access::hosts::Target;
 use crate::http::client;
 use crate::http::problem::{Problem, ProblemKind};
+use crate::limits::per_ip::IpPermit;
 use crate::limits::system_buffers;
+use crate::open_sessions::Ending;
 use crate::proxy::ClientAddress;
 use crate::session::driver::{self, READ_LIMIT};
 use crate::state::ServerState;
@@ -19,6 +21,8 @@ use std::borrow::Cow;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Instant;
+use tokio::sync::OwnedSemaphorePermit;
+use tokio_util::sync::CancellationToken;
 
 /// Start of a subprotocol entry with a token.
 const TOKEN_SUBPROTOCOL: &str = "tombolo.bearer.";
@@ -57,7 +61,8 @@ pub async fn stream(State(state): State<Arc<ServerState>>, mut request: Request)
         Err(refusal) => return client::problem(refusal).into_response(),
     }
     if state.draining.is_cancelled() {
-        return Problem::new(ProblemKind::NoSession, "the server ends, retry later").into_response();
+        let sentence = "the server is shutting down, retry later";
+        return Problem::new(ProblemKind::NoSession, sentence).into_response();
     }
     let Ok(permit) = Arc::clone(&state.session_permits).try_acquire_owned() else {
         // There is a place when the client retries, if no other limit rejects it then. Not for a
@@ -84,25 +89,37 @@ pub async fn stream(State(state): State<Arc<ServerState>>, mut request: Request)
     let number = state.next_session.fetch_add(1, Ordering::Relaxed);
     let tracker = state.sessions.clone();
     tracker.spawn(async move {
-        if let Some(socket) = upgrade.socket(READ_LIMIT).await {
-            let bucket = state.rate_limiter.bucket(peer);
-            let open = state.open_sessions.register(number, peer);
-            let ended = driver::serve(socket, &state, offer, open, bucket, parent).await;
-            if ended.reason.leaves_unread_bytes() {
-                system_buffers::discard(tcp_stream(&ended.stream));
-            }
-            drop(ended.stream);
-            if ended.reason.is_breach() {
-                state.peer_log.report(peer, ended.reason.name());
-            }
-            tokio::select! {
-                () = tokio::time::sleep_until(ended.owes_until) => {}
-                () = state.draining.cancelled() => {}
-            }
+        let Some(socket) = upgrade.socket(READ_LIMIT).await else { return };
+        let bucket = state.rate_limiter.bucket(peer);
+        let open = state.open_sessions.register(number, peer);
+        let ended = driver::serve(socket, &state, offer, open, bucket, parent).await;
+        if ended.reason.leaves_unread_bytes() || ended.ending == Some(Ending::Memory) {
+            system_buffers::discard(tcp_stream(&ended.stream));
         }
-        drop((permit, ip_permit));
+        drop(ended.stream);
+        if ended.reason.is_breach() {
+            state.peer_log.report(peer, ended.reason.name());
+        }
+        free_places((permit, ip_permit), ended.ending, ended.backoff_until, &state.draining).await;
     });
     response
+}
+
+/// Frees the places of a session that has ended: when its refusal back-off ends, or its client
+/// could leave the pauses out by a new session. A client of another site waits for the place of a
+/// displaced session: that is free at once, and counts for the network of its client alone.
+async fn free_places(
+    (permit, ip_permit): (OwnedSemaphorePermit, IpPermit),
+    ending: Option<Ending>,
+    backoff_until: tokio::time::Instant,
+    draining: &CancellationToken,
+) {
+    let permit = (ending != Some(Ending::Displaced)).then_some(permit);
+    tokio::select! {
+        () = tokio::time::sleep_until(backoff_until) => {}
+        () = draining.cancelled() => {}
+    }
+    drop((permit, ip_permit));
 }
 
 /// The response to an invalid handshake.
@@ -149,4 +166,37 @@ fn presented_token<'a>(headers: &'a HeaderMap, offered: &[&str]) -> Result<Optio
         Problem::new(ProblemKind::BadHandshake, sentence)
     };
     token.map(|token| Some(token.into())).ok_or_else(malformed)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::limits::per_ip::PerIpLimiter;
+    use futures_util::FutureExt;
+    use std::net::IpAddr;
+    use std::pin::pin;
+    use std::time::Duration;
+    use tokio::sync::Semaphore;
+
+    #[tokio::test]
+    async fn the_place_of_a_displaced_session_is_free_before_its_backoff_ends() {
+        for (ending, is_free) in
+            [(None, false), (Some(Ending::Memory), false), (Some(Ending::Displaced), true)]
+        {
+            let (places, per_ip) = (Arc::new(Semaphore::new(1)), PerIpLimiter::new(1));
+            let client = Some(IpAddr::from([10, 0, 0, 1]));
+            let permit = Arc::clone(&places).try_acquire_owned().unwrap();
+            let ip_permit = per_ip.try_acquire(client, 0).unwrap();
+            let (until, draining) =
+                (tokio::time::Instant::now() + Duration::from_secs(3600), CancellationToken::new());
+            let mut freeing = pin!(free_places((permit, ip_permit), ending, until, &draining));
+            assert!(freeing.as_mut().now_or_never().is_none());
+            assert_eq!(places.available_permits(), usize::from(is_free), "{ending:?}");
+            assert!(per_ip.try_acquire(client, 0).is_none(), "it counts for its network");
+            draining.cancel();
+            freeing.await;
+            assert_eq!(places.available_permits(), 1);
+            assert!(per_ip.try_acquire(client, 0).is_some());
+        }
+    }
 }

@@ -64,6 +64,13 @@ impl PerIpLimiter {
         }
         Some(IpPermit { client, limiter: self.clone() })
     }
+
+    /// Permits of that network of a client that has the most.
+    #[must_use]
+    pub fn held(&self, client: IpAddr) -> usize {
+        let counts = self.counts.lock().unwrap_or_else(PoisonError::into_inner);
+        client_networks(client).filter_map(|network| counts.get(&network).copied()).max().unwrap_or_default()
+    }
 }
 
 impl Drop for IpPermit {
@@ -96,6 +103,11 @@ mod tests {
                 && limiter.try_acquire(other, 0).is_some()
                 && limiter.try_acquire(None, 0).is_some()
         );
+        drop(permits);
+        let held = |address: &str| limiter.held(address.parse().unwrap());
+        let permits = ["2001:db8:1:1::1", "2001:db8:1:2::1"]
+            .map(|text| limiter.try_acquire(Some(text.parse().unwrap()), 9).unwrap());
+        assert_eq!((held("2001:db8:1:1::9"), held("2001:db8:2::1"), held("10.0.0.1")), (2, 0, 0));
         drop(permits);
         assert!(limiter.try_acquire(one, 0).is_some());
         assert!(limiter.counts.lock().unwrap().is_empty());

@@ -62,6 +62,17 @@ pub struct Tile {
     pub digest: [u8; 16],
 }
 
+/// Whose tile it is: its chunks are requested for the client and charged to the bucket.
+#[derive(Clone, Copy)]
+pub struct Requester<'a> {
+    /// Address of the client, if known.
+    pub client: Option<IpAddr>,
+    /// What generates the chunks.
+    pub generation: &'a Generation,
+    /// The client's budget.
+    pub bucket: &'a TokenBucket,
+}
+
 /// Renders and caches tiles.
 pub struct Map {
     world: WorldDigest,
@@ -101,33 +112,22 @@ impl Map {
         }
     }
 
-    /// The tile of a key for a client; rendering and sending are charged to a bucket. Dropping the
-    /// future cancels its requests.
+    /// The tile of a key for a client; rendering and sending are charged to its bucket. Dropping
+    /// the future cancels its requests.
     ///
     /// # Errors
     /// See [`MapError`].
-    pub async fn tile(
-        &self,
-        key: ChunkKey,
-        client: Option<IpAddr>,
-        generation: &Generation,
-        bucket: &TokenBucket,
-    ) -> Result<Tile, MapError> {
-        let tile = self.cached_or_rendered(key, client, generation, bucket).await;
+    pub async fn tile(&self, key: ChunkKey, requester: Requester<'_>) -> Result<Tile, MapError> {
+        let tile = self.cached_or_rendered(key, requester).await;
         match &tile {
-            Ok(tile) => bucket.charge_bytes(tile.png.len(), Instant::now()),
+            Ok(tile) => requester.bucket.charge_bytes(tile.png.len(), Instant::now()),
             Err(_) => drop(self.metrics.http.tiles_failed.inc()),
         }
         tile
     }
 
-    async fn cached_or_rendered(
-        &self,
-        key: ChunkKey,
-        client: Option<IpAddr>,
-        generation: &Generation,
-        bucket: &TokenBucket,
-    ) -> Result<Tile, MapError> {
+    async fn cached_or_rendered(&self, key: ChunkKey, requester: Requester<'_>) -> Result<Tile, MapError> {
+        let Requester { client, generation, bucket } = requester;
         if let Some(tile) = self.cache.get(&key) {
             self.metrics.http.tile_cache_hits.inc();
             return Ok(tile);
@@ -153,7 +153,7 @@ impl Map {
                 self.metrics.http.tile_cache_hits.inc();
                 return Ok(tile);
             }
-            if fetch_frames(&sources, &mut frames, client, generation, bucket).await? {
+            if fetch_frames(&sources, &mut frames, requester).await? {
                 break turn;
             }
             // While it waits for tokens, others have its turn and its place in the queue.
@@ -188,10 +188,9 @@ impl Map {
 async fn fetch_frames(
     keys: &[ChunkKey],
     frames: &mut [Option<Bytes>],
-    client: Option<IpAddr>,
-    generation: &Generation,
-    bucket: &TokenBucket,
+    requester: Requester<'_>,
 ) -> Result<bool, GenerationError> {
+    let Requester { client, generation, bucket } = requester;
     for (key, frame) in keys.iter().zip(&mut *frames).filter(|(_, frame)| frame.is_none()) {
         *frame = generation.cached(*key, Delivery::Exact);
     }
@@ -283,6 +282,10 @@ mod tests {
         (land, Generation::new(source, limits, Arc::clone(metrics)).unwrap())
     }
 
+    fn anyone<'a>(generation: &'a Generation, bucket: &'a TokenBucket) -> Requester<'a> {
+        Requester { client: None, generation, bucket }
+    }
+
     /// A bucket of `ms` milliseconds per second.
     fn bucket(ms: u64) -> TokenBucket {
         RateLimiter::new(Some(ms)).bucket(Some("10.0.0.1".parse().unwrap()))
@@ -294,10 +297,10 @@ mod tests {
         let (land, generation) = service(&metrics, 100);
         let map = || Map::new(land.digest(), 1 << 20, 1, Arc::clone(&metrics));
         // Its chunks are made without a charge.
-        map().tile(key(4, 0, -1), None, &generation, &TokenBucket::default()).await.unwrap();
+        map().tile(key(4, 0, -1), anyone(&generation, &TokenBucket::default())).await.unwrap();
         let bucket = bucket(1);
         let (before, start) = (bucket.tokens(), Instant::now());
-        map().tile(key(4, 0, -1), None, &generation, &bucket).await.unwrap();
+        map().tile(key(4, 0, -1), anyone(&generation, &bucket)).await.unwrap();
         assert_eq!(metrics.http.tiles_rendered.get(), 2);
         assert!(bucket.tokens() < before);
         // The full bucket pays for 10,000 chunks of the least cost, that of no chunk.
@@ -312,7 +315,7 @@ mod tests {
         let limited = bucket(1);
         // Its request was admitted; meanwhile others have spent the tokens and 40 s of refill more.
         limited.charge_work(50_000, Instant::now());
-        let over = map.tile(key(4, 0, -1), None, &generation, &limited).await;
+        let over = map.tile(key(4, 0, -1), anyone(&generation, &limited)).await;
         assert_eq!(over.err(), Some(MapError::OverRate), "the deadline is 30 s");
         assert_eq!(
             (metrics.generation.jobs_completed.get(), metrics.limits.rate_limit_rejections.get()),
@@ -325,7 +328,7 @@ mod tests {
         let tile = {
             let (map, generation, short) = (Arc::clone(&map), generation.clone(), bucket(100));
             short.charge_work(990_000, Instant::now());
-            tokio::spawn(async move { map.tile(key(4, 0, -1), None, &generation, &short).await.map(drop) })
+            tokio::spawn(async move { map.tile(key(4, 0, -1), anyone(&generation, &short)).await.map(drop) })
         };
         while metrics.limits.rate_limit_delays.get() == 0 {
             assert!(!tile.is_finished(), "without a delay");
@@ -335,7 +338,7 @@ mod tests {
         assert!((1..36).contains(&made), "{made}");
         assert_eq!(map.turns.free(), 1);
         // The control: the same tile for another client, which takes up the chunks that are made.
-        assert!(map.tile(key(4, 0, -1), None, &generation, &TokenBucket::default()).await.is_ok());
+        assert!(map.tile(key(4, 0, -1), anyone(&generation, &TokenBucket::default())).await.is_ok());
         assert_eq!((metrics.generation.jobs_completed.get(), metrics.http.tiles_rendered.get()), (36, 1));
         tile.abort();
     }
@@ -349,7 +352,9 @@ mod tests {
             let (map, generation) = (Arc::clone(&map), generation.clone());
             let client = Some(IpAddr::from(address));
             tokio::spawn(async move {
-                map.tile(key(0, x, 0), client, &generation, &TokenBucket::default()).await.map(drop)
+                map.tile(key(0, x, 0), Requester { client, ..anyone(&generation, &TokenBucket::default()) })
+                    .await
+                    .map(drop)
             })
         };
         let many: Vec<_> = (0..40).map(|x| begin([10, 0, 0, 1], x)).collect();
@@ -373,19 +378,19 @@ mod tests {
         // The queue has exactly the size of the window.
         let (land, generation) = service(&metrics, JOB_WINDOW);
         let map = Map::new(land.digest(), 1 << 20, 1, Arc::clone(&metrics));
-        let tile = map.tile(key(4, 0, -1), None, &generation, &TokenBucket::default()).await.unwrap();
+        let tile = map.tile(key(4, 0, -1), anyone(&generation, &TokenBucket::default())).await.unwrap();
         assert_eq!(metrics.generation.jobs_completed.get(), 36);
         assert_eq!(
-            map.tile(key(4, 0, -1), None, &generation, &TokenBucket::default()).await.unwrap().digest,
+            map.tile(key(4, 0, -1), anyone(&generation, &TokenBucket::default())).await.unwrap().digest,
             tile.digest
         );
         assert_eq!((metrics.http.tiles_rendered.get(), metrics.http.tile_cache_hits.get()), (1, 1));
         // Its neighbour to the east shares two columns of six chunks with it.
-        map.tile(key(4, 1, -1), None, &generation, &TokenBucket::default()).await.unwrap();
+        map.tile(key(4, 1, -1), anyone(&generation, &TokenBucket::default())).await.unwrap();
         assert_eq!(metrics.generation.jobs_completed.get(), 36 + 24);
         // The control: with a smaller queue than the window it is rejected.
         let (_, small) = service(&metrics, 2);
-        let rejected = map.tile(key(4, 5, 5), None, &small, &TokenBucket::default()).await;
+        let rejected = map.tile(key(4, 5, 5), anyone(&small, &TokenBucket::default())).await;
         assert_eq!(rejected.err(), Some(MapError::Generation(GenerationError::Overloaded)));
     }
 
@@ -402,7 +407,7 @@ mod tests {
         let wait_for = |x| {
             let (map, generation) = (Arc::clone(&map), generation.clone());
             tokio::spawn(
-                async move { map.tile(key(0, x, 0), None, &generation, &TokenBucket::default()).await },
+                async move { map.tile(key(0, x, 0), anyone(&generation, &TokenBucket::default())).await },
             )
         };
         let waiting = [wait_for(1), wait_for(2)];
@@ -428,7 +433,7 @@ mod tests {
             .map(|key| {
                 let (map, generation) = (Arc::clone(&map), generation.clone());
                 tokio::spawn(async move {
-                    map.tile(key, None, &generation, &TokenBucket::default()).await.map(drop)
+                    map.tile(key, anyone(&generation, &TokenBucket::default())).await.map(drop)
                 })
             })
             .collect();
@@ -467,7 +472,7 @@ mod tests {
         let mut rendered = 0;
         for x in 0..12 {
             rendered +=
-                map.tile(key(0, x, 3), None, &generation, &TokenBucket::default()).await.unwrap().png.len()
+                map.tile(key(0, x, 3), anyone(&generation, &TokenBucket::default())).await.unwrap().png.len()
                     as u64;
         }
         assert!(rendered > 2 * budget, "{rendered} bytes exceed the budget");

@@ -131,23 +131,28 @@ impl MemoryMark {
     }
 }
 
-/// When sessions ended, and the memory in use then.
-#[derive(Debug)]
+/// When sessions ended, or the memory came beyond the mark, and the memory in use then. None below
+/// the mark.
+#[derive(Debug, Default)]
 struct Shedding {
-    last: Instant,
-    used: u64,
+    last: Option<(Instant, u64)>,
 }
 
 impl Shedding {
     /// How many of the open sessions end now.
     fn due(&mut self, used: u64, limit: u64, open: usize, now: Instant) -> usize {
-        // The allocator gives memory back late: what does not grow is not critical.
-        let is_critical = used >= limit / 8 * CRITICAL_EIGHTHS && used > self.used;
-        let (divisor, pause) = if is_critical { SHED_CRITICAL } else { SHED };
-        if now < self.last + pause {
+        if used < limit / 8 * MARK_EIGHTHS {
+            self.last = None;
             return 0;
         }
-        *self = Self { last: now, used };
+        let (last, used_then) = *self.last.get_or_insert((now, used));
+        // The allocator gives memory back late: what does not grow is not critical.
+        let is_critical = used >= limit / 8 * CRITICAL_EIGHTHS && used > used_then;
+        let (divisor, pause) = if is_critical { SHED_CRITICAL } else { SHED };
+        if now < last + pause {
+            return 0;
+        }
+        self.last = Some((now, used));
         open.div_ceil(divisor)
     }
 }
@@ -158,7 +163,7 @@ pub async fn watch(mark: Arc<MemoryMark>, metrics: Arc<Metrics>, sessions: OpenS
     metrics.limits.memory_limit_bytes.set(i64::try_from(limit.bytes()).unwrap_or(i64::MAX));
     let mut ticks = tokio::time::interval(INTERVAL);
     ticks.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
-    let mut shedding = Shedding { last: Instant::now(), used: 0 };
+    let mut shedding = Shedding::default();
     let mut room_at = Instant::now();
     let (files, mut is_unknown) = (OpenFiles::default(), false);
     loop {
@@ -176,7 +181,6 @@ pub async fn watch(mark: Arc<MemoryMark>, metrics: Arc<Metrics>, sessions: OpenS
         if mark.record(used, limit.bytes()) {
             let (used_mib, is_reached) = (used >> 20, mark.is_reached());
             if is_reached {
-                shedding = Shedding { last: now, used };
                 tracing::warn!(used_mib, %limit, "memory is nearly used up: no further sessions begin");
             } else {
                 tracing::info!(used_mib, %limit, "memory is free again");
@@ -186,12 +190,10 @@ pub async fn watch(mark: Arc<MemoryMark>, metrics: Arc<Metrics>, sessions: OpenS
             mark.make_room(used, limit.bytes());
             room_at = now + ADMISSION;
         }
-        if mark.is_exceeded() {
-            let count = sessions.shed(shedding.due(used, limit.bytes(), sessions.count(), now));
-            if count > 0 {
-                let used_mib = used >> 20;
-                tracing::warn!(used_mib, %limit, count, "memory is nearly used up: sessions end");
-            }
+        let count = sessions.shed(shedding.due(used, limit.bytes(), sessions.count(), now));
+        if count > 0 {
+            let used_mib = used >> 20;
+            tracing::warn!(used_mib, %limit, count, "memory is nearly used up: sessions end");
         }
     }
 }
@@ -255,7 +257,7 @@ mod tests {
     #[test]
     fn more_sessions_end_sooner_where_memory_grows_close_to_the_limit() {
         let start = Instant::now();
-        let mut shedding = Shedding { last: start, used: 600 };
+        let mut shedding = Shedding::default();
         let at = |ms| start + Duration::from_millis(ms);
         assert_eq!(shedding.due(600, 800, 100, at(0)), 0, "the mark was reached just now");
         assert_eq!(shedding.due(600, 800, 100, at(1000)), 13);
@@ -266,5 +268,10 @@ mod tests {
         assert_eq!(shedding.due(720, 800, 21, at(1700)), 0, "it does not grow");
         assert_eq!(shedding.due(720, 800, 21, at(2600)), 3);
         assert_eq!(shedding.due(730, 800, 0, at(2700)), 0);
+        // The server is not ready between: this is above the lower share.
+        assert_eq!(shedding.due(599, 800, 18, at(9000)), 0, "below the mark");
+        assert_eq!(shedding.due(760, 800, 18, at(9100)), 0, "it was exceeded again just now");
+        assert_eq!(shedding.due(760, 800, 18, at(10_099)), 0);
+        assert_eq!(shedding.due(760, 800, 18, at(10_100)), 3);
     }
 }

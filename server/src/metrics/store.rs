@@ -15,7 +15,7 @@ pub struct StoreMetrics {
     pub misses: Counter,
     /// Reads that took longer than the chunk was worth.
     pub reads_late: Counter,
-    /// Objects that were no valid chunk.
+    /// Reads of objects that were no valid chunk, or no valid index of a pack.
     pub reads_invalid: Counter,
     /// Reads that failed or were not answered at all.
     pub reads_failed: Counter,
@@ -56,12 +56,13 @@ impl StoreMetrics {
             "outcome",
             ["written", "failed", "refused", "dropped", "skipped"],
         );
-        // 0.2 ms to 3 s: a local folder, and the timeout.
+        // 0.2 ms: a local folder. A read without an answer takes longer than its timeout: 2 s, or
+        // the least wait of a chunk, which is 10 s at most.
         let read_seconds = register_as(
             registry,
             "store_read_duration_seconds",
             "Time per read from the store",
-            Histogram::new(exponential_buckets(0.0002, 2.0, 14)),
+            Histogram::new(exponential_buckets(0.0002, 2.0, 14).chain([2.0, 5.0, 10.0])),
         );
         let write_seconds = register_as(
             registry,

@@ -40,7 +40,8 @@ pub struct TrustedProxies {
 pub struct ClientAddress(pub IpAddr);
 
 impl TrustedProxies {
-    /// Addresses or networks in CIDR notation, and where they name the client.
+    /// Addresses or networks in CIDR notation, and where they name the client. IPv4-mapped ones
+    /// count as IPv4, as peers do.
     ///
     /// # Errors
     /// A value is neither, or a header is given without proxies.
@@ -53,12 +54,12 @@ impl TrustedProxies {
             )));
         }
         let network = |value: &String| {
-            let network = value.parse().or_else(|_| value.parse::<IpAddr>().map(IpNet::from)).map_err(|_| {
+            let network = value.parse().or_else(|_| value.parse::<IpAddr>().map(IpNet::from));
+            network.ok().and_then(unmapped).ok_or_else(|| {
                 UsageError::new(format!(
                     "trusted-proxy: `{value}` is no address or network; give for example 10.0.0.0/8 or ::1"
                 ))
-            })?;
-            Ok(network)
+            })
         };
         let networks = values.iter().map(network).collect::<Result<_, _>>()?;
         Ok(Self { networks, header: header.unwrap_or_default() })
@@ -99,6 +100,13 @@ impl TrustedProxies {
     }
 }
 
+/// An IPv4-mapped network as IPv4; none if a part of it is not.
+fn unmapped(network: IpNet) -> Option<IpNet> {
+    let IpNet::V6(six) = network else { return Some(network) };
+    let Some(four) = six.addr().to_ipv4_mapped() else { return Some(network) };
+    IpNet::new(four.into(), six.prefix_len().checked_sub(96)?).ok()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -134,11 +142,30 @@ mod tests {
         assert_eq!(none.client(address("127.0.0.1"), &headers).0, address("127.0.0.1"));
     }
 
+    /// Before, no peer was of such a network: peers are never IPv4-mapped.
+    #[test]
+    fn ipv4_mapped_networks_are_those_of_ipv4() {
+        for (mapped, inside, outside) in [
+            ("::ffff:10.1.2.3", "10.1.2.3", "10.1.2.4"),
+            ("::ffff:10.1.2.3/128", "10.1.2.3", "10.1.2.4"),
+            ("::ffff:10.0.0.0/104", "10.255.0.1", "11.0.0.1"),
+            ("::ffff:0.0.0.0/96", "192.0.2.1", "::1"),
+        ] {
+            let proxies = proxies(&[mapped], None).unwrap();
+            assert!(proxies.contains(address(inside)), "{mapped}");
+            assert!(proxies.contains(address(&format!("::ffff:{inside}"))), "{mapped}");
+            assert!(!proxies.contains(address(outside)), "{mapped}");
+        }
+        let all = proxies(&["::/0"], None).unwrap();
+        assert!(all.contains(address("2001:db8::1")) && !all.contains(address("10.1.2.3")));
+    }
+
     #[test]
     fn malformed_options_are_named() {
         for (values, header, word) in [
             (&["10.0.0.0/33"][..], None, "10.0.0.0/33"),
             (&["proxy.example"][..], None, "proxy.example"),
+            (&["::ffff:10.0.0.0/95"][..], None, "::ffff:10.0.0.0/95"),
             (&[][..], Some(ProxyHeader::Forwarded), "forwarded"),
         ] {
             let message = proxies(values, header).unwrap_err().to_string();

@@ -12,12 +12,12 @@ mod transmit;
 
 use crate::generation::{Flow, FlowEvent};
 use crate::limits::rate_limit::TokenBucket;
-use crate::open_sessions::OpenSession;
+use crate::open_sessions::{Ending, OpenSession};
 use crate::session::chunk_traces::ChunkTraces;
 use crate::session::end::{EndReason, SessionEnd};
 use crate::session::keepalive::{Keepalive, KeepaliveAction};
 use crate::session::message_deadline::MessageDeadline;
-use crate::session::refusal_backoff::{PauseCount, RefusalBackoff};
+use crate::session::refusal_backoff::RefusalBackoff;
 use crate::state::ServerState;
 use crate::traces::Parent;
 use crate::websocket::frame::Opcode;
@@ -43,13 +43,14 @@ const CLOSE_TIMEOUT: Duration = Duration::from_secs(2);
 /// A session that has ended.
 #[derive(Debug)]
 pub struct Ended<S> {
-    /// Why.
+    /// Why: the first reason.
     pub reason: EndReason,
+    /// Why the server ended it, or cut its end short; none if it did neither.
+    pub ending: Option<Ending>,
     /// The stream, not yet dropped.
     pub stream: S,
-    /// When its refusal back-off would have ended: until then its client must not have its place
-    /// for another session, or the debt would end with the session.
-    pub owes_until: Instant,
+    /// When its refusal back-off ends: not with the session.
+    pub backoff_until: Instant,
 }
 
 /// Runs one session to its end and counts it. Its work is charged to `bucket`; its chunks belong to
@@ -78,7 +79,6 @@ where
             message_deadline: MessageDeadline::default(),
             delay: None,
             backoff: RefusalBackoff::new(Instant::now()),
-            pause_count: PauseCount::new(&state.paused_sessions),
             counted: SessionCounts::default(),
             stats,
             traces: ChunkTraces::new(parent),
@@ -90,7 +90,7 @@ where
         let end = driver.run().await;
         driver.update_metrics();
         let Driver { socket, stats, backoff, .. } = driver;
-        Remaining { socket, stats, end, owes_until: backoff.debt_until() }
+        Remaining { socket, stats, end, backoff_until: backoff.until() }
     });
     let Remaining { socket, stats, end, .. } = &mut *rest;
     tracing::debug!(session = number, reason = end.reason.name(), "session ended");
@@ -98,14 +98,14 @@ where
         socket.queue_close(*code, text);
         tokio::select! {
             _ = timeout(CLOSE_TIMEOUT, close(socket)) => {}
-            // However it has to end: at once.
-            _ = stats.ends() => end.reason = EndReason::MemoryShed,
+            // At once. The first reason stays.
+            _ = stats.ends() => {}
         }
     }
     state.metrics.sessions.ended(end.reason.name());
     state.metrics.sessions.open.dec();
-    let Remaining { socket, end, owes_until, .. } = *rest;
-    Ended { reason: end.reason, stream: socket.into_stream(), owes_until }
+    let Remaining { socket, stats, end, backoff_until } = *rest;
+    Ended { reason: end.reason, ending: stats.ending(), stream: socket.into_stream(), backoff_until }
 }
 
 /// The remaining state of a session while its peer answers the Close frame: all else is free
@@ -114,7 +114,7 @@ struct Remaining<S> {
     socket: WebSocket<S>,
     stats: OpenSession,
     end: SessionEnd,
-    owes_until: Instant,
+    backoff_until: Instant,
 }
 
 /// Sends a Close frame and waits for the peer to end the connection, so that what was written
@@ -144,8 +144,6 @@ struct Driver<'a, S> {
     delay: Option<(Instant, Delay)>,
     /// Whether the session is read.
     backoff: RefusalBackoff,
-    /// Counted while it is not.
-    pause_count: PauseCount<'a>,
     /// When an unfinished message must be complete.
     message_deadline: MessageDeadline,
     /// The part of the session's counts that the metrics contain.
@@ -183,7 +181,7 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
                 return end;
             }
             let pause = self.backoff.paused_until(Instant::now());
-            self.pause_count.set(pause.is_some());
+            self.flow.set_paused(pause.is_some());
             let read_size = self.backoff.read_size(Instant::now());
             tokio::select! {
                 read = self.socket.read_at_most(read_size), if pause.is_none() => {

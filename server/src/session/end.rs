@@ -170,7 +170,9 @@ impl SessionEnd {
         match ending {
             // Without a Close frame, whose answer would keep the memory.
             Ending::Memory => Self::without_code(EndReason::MemoryShed),
-            Ending::Displaced => Self::with_code(EndReason::Displaced, CloseCode::GoingAway),
+            Ending::Displaced => {
+                Self::going_away(EndReason::Displaced, "server is full, and another site has fewer sessions")
+            }
         }
     }
 
@@ -178,6 +180,11 @@ impl SessionEnd {
     #[must_use]
     pub fn with_code(reason: EndReason, code: CloseCode) -> Self {
         Self { reason, close: Some((code.code(), code.to_string())) }
+    }
+
+    /// An end by the server that is no fault of the peer.
+    pub fn going_away(reason: EndReason, text: &str) -> Self {
+        Self { reason, close: Some((CloseCode::GoingAway.code(), text.into())) }
     }
 
     /// An end without a close frame: the connection is gone, or the peer has closed it.
@@ -223,6 +230,13 @@ pub async fn write_within<T>(
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_displaced_session_does_not_announce_a_shutdown() {
+        let (code, text) = SessionEnd::by_server(Ending::Displaced).close.unwrap();
+        assert_eq!(code, CloseCode::GoingAway.code());
+        assert!(text.contains("another site") && !text.contains("shutting down"), "{text}");
+    }
 
     #[test]
     fn every_close_code_of_a_session_has_its_reason() {

@@ -3,17 +3,13 @@
 //!
 //! Reading and rejecting a request takes processor time that no queue accounts for. A client that
 //! repeats rejected requests at once could occupy a core. The back-off bounds this work to the
-//! session's fair share: each rejection adds its cost, multiplied by the flows that share a thread,
-//! to a debt in time, and the session is not read while the debt lasts. A debt of more than one
-//! pause is paid by several, with one small read after each. Pending chunks are still sent. Unread
-//! input stays in the socket buffers, so TCP slows the client down.
-//!
-//! Sessions that are paused share the thread too, whether or not they have flows: otherwise each of
-//! many sessions that send nothing but refused views would get a whole share.
+//! session's fair share: each rejection makes the back-off longer by its cost, multiplied by the
+//! sharers of a thread, and the session is not read until the back-off ends. A long back-off has
+//! several pauses, with one small read after each. Pending chunks are still sent. Unread input
+//! stays in the socket buffers, so TCP slows the client down.
 
 use protocol::message::RefusalReason;
 use protocol::server::SessionCounts;
-use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 use tokio::time::Instant;
 
@@ -31,19 +27,20 @@ const VIEW_COST: Duration = Duration::from_micros(32);
 const SMALL_READ: usize = 2048;
 const CAUTION: Duration = Duration::from_secs(1);
 
-/// Bytes that are read at once while more than one pause is owed: some 110 keys, which take a
-/// thread 0.4 ms of each 0.1 s for each such session. A client that sends 120 views a second still
-/// sends less, and a message of 8 KiB arrives within 0.8 s, a sixth of the 5 s that it may take.
-const DEBTOR_READ: usize = 1024;
+/// Bytes that are read at once between two pauses: some 110 keys, which take a thread 0.4 ms of
+/// each 0.1 s for each such session. A client that sends 120 views a second still sends less, and a
+/// message of 8 KiB arrives within 0.8 s, a sixth of the 5 s that it may take.
+const READ_BETWEEN_PAUSES: usize = 1024;
 
 /// The longest pause, so that a cancellation or a view behind rejected requests is read soon.
 const MAX_PAUSE: Duration = Duration::from_millis(100);
 
-/// The largest debt; the rest is forgiven. One full read of invalid keys costs more beyond 700
-/// sharers.
-const MAX_DEBT: Duration = Duration::from_secs(5);
+/// The longest back-off; the rest of a cost is dropped. One full read of invalid keys costs more
+/// beyond 700 sharers.
+const MAX_BACKOFF: Duration = Duration::from_secs(5);
 
-/// The shortest pause; less is not worth a timer. Smaller debts accumulate until time pays them.
+/// The shortest pause; less is not worth a timer. A shorter back-off causes none unless further
+/// rejections come before its end.
 const MIN_PAUSE: Duration = Duration::from_millis(10);
 
 /// The rejections of a session.
@@ -75,42 +72,11 @@ impl Rejections {
     }
 }
 
-/// Counts a session while it is paused.
-#[derive(Debug)]
-pub struct PauseCount<'a> {
-    paused: &'a AtomicUsize,
-    is_counted: bool,
-}
-
-impl<'a> PauseCount<'a> {
-    /// A session that is not paused, to be counted in `paused`.
-    #[must_use]
-    pub const fn new(paused: &'a AtomicUsize) -> Self {
-        Self { paused, is_counted: false }
-    }
-
-    /// Records whether the session is paused.
-    pub fn set(&mut self, is_paused: bool) {
-        match (self.is_counted, is_paused) {
-            (false, true) => _ = self.paused.fetch_add(1, Ordering::Relaxed),
-            (true, false) => _ = self.paused.fetch_sub(1, Ordering::Relaxed),
-            _ => {}
-        }
-        self.is_counted = is_paused;
-    }
-}
-
-impl Drop for PauseCount<'_> {
-    fn drop(&mut self) {
-        self.set(false);
-    }
-}
-
 /// See the module.
 #[derive(Clone, Copy, Debug)]
 pub struct RefusalBackoff {
-    /// When the debt of rejections is paid.
-    debt_until: Instant,
+    /// When the back-off ends.
+    until: Instant,
     /// When a pause that has begun ends.
     pause: Option<Instant>,
     /// Until when little is read at once.
@@ -118,50 +84,51 @@ pub struct RefusalBackoff {
 }
 
 impl RefusalBackoff {
-    /// No debt.
+    /// A back-off that has ended.
     #[must_use]
     pub const fn new(now: Instant) -> Self {
-        Self { debt_until: now, pause: None, cautious_until: now }
+        Self { until: now, pause: None, cautious_until: now }
     }
 
-    /// Records rejections while `sharers` flows share a thread. Returns whether a pause begins.
+    /// Records rejections of a session with one of `sharers` equal shares of a thread. Returns
+    /// whether a pause begins.
     pub fn record(&mut self, rejections: Rejections, sharers: usize, now: Instant) -> bool {
         let sharers = u32::try_from(sharers.max(1)).unwrap_or(u32::MAX);
         let cost = rejections.cost().saturating_mul(sharers);
-        self.debt_until = now + self.debt(now).saturating_add(cost).min(MAX_DEBT);
-        if self.debt(now) >= MIN_PAUSE && rejections.views > 0 {
-            self.cautious_until = self.debt_until + CAUTION;
+        self.until = now + self.remaining(now).saturating_add(cost).min(MAX_BACKOFF);
+        if self.remaining(now) >= MIN_PAUSE && rejections.views > 0 {
+            self.cautious_until = self.until + CAUTION;
         }
         self.pause(now)
     }
 
-    /// Begins a pause for what is owed, unless one has begun: to be called after each read. Returns
-    /// whether one begins.
+    /// Begins a pause if the back-off goes on, unless one has begun: to be called after each read.
+    /// Returns whether one begins.
     pub fn pause(&mut self, now: Instant) -> bool {
-        let debt = self.debt(now);
-        let begins = debt >= MIN_PAUSE && self.paused_until(now).is_none();
+        let remaining = self.remaining(now);
+        let begins = remaining >= MIN_PAUSE && self.paused_until(now).is_none();
         if begins {
-            self.pause = Some(now + debt.min(MAX_PAUSE));
+            self.pause = Some(now + remaining.min(MAX_PAUSE));
         }
         begins
     }
 
-    /// When the debt is paid; at most 5 s from the last rejection.
+    /// When the back-off ends; at most 5 s from the last rejection.
     #[must_use]
-    pub const fn debt_until(&self) -> Instant {
-        self.debt_until
+    pub const fn until(&self) -> Instant {
+        self.until
     }
 
-    fn debt(&self, now: Instant) -> Duration {
-        self.debt_until.saturating_duration_since(now)
+    fn remaining(&self, now: Instant) -> Duration {
+        self.until.saturating_duration_since(now)
     }
 
     /// Bytes to read at once; at most what the socket reads.
     #[must_use]
     pub fn read_size(&self, now: Instant) -> usize {
-        // Nothing is owed at the end of the last pause.
-        if self.debt(now) >= MIN_PAUSE {
-            DEBTOR_READ
+        // Nothing remains at the end of the last pause.
+        if self.remaining(now) >= MIN_PAUSE {
+            READ_BETWEEN_PAUSES
         } else if now < self.cautious_until {
             SMALL_READ
         } else {
@@ -221,14 +188,14 @@ mod tests {
             assert_eq!(pauses > 0, is_paused, "one in {every_us} us: {pauses}");
             let end = start + Duration::from_micros(every_us * 1000);
             assert_eq!(backoff.read_size(end) < usize::MAX, is_paused);
-            assert_eq!(backoff.read_size(end + MAX_DEBT + 2 * CAUTION), usize::MAX);
+            assert_eq!(backoff.read_size(end + MAX_BACKOFF + 2 * CAUTION), usize::MAX);
         }
         let mut flood = RefusalBackoff::new(start);
         flood.record(Rejections { requests: 0, views: u64::MAX }, 1, start);
-        let paid = start + MAX_DEBT;
-        assert_eq!(flood.read_size(paid), SMALL_READ, "little for a while after the debt is paid");
-        assert_eq!(flood.read_size(paid + CAUTION - Duration::from_micros(1)), SMALL_READ);
-        assert_eq!(flood.read_size(paid + CAUTION), usize::MAX);
+        let end = start + MAX_BACKOFF;
+        assert_eq!(flood.read_size(end), SMALL_READ, "little for a while after the back-off");
+        assert_eq!(flood.read_size(end + CAUTION - Duration::from_micros(1)), SMALL_READ);
+        assert_eq!(flood.read_size(end + CAUTION), usize::MAX);
         let mut of_requests = RefusalBackoff::new(start);
         assert!(of_requests.record(requests(10_000), 1, start), "a pause");
         let end = of_requests.paused_until(start).unwrap();
@@ -236,12 +203,12 @@ mod tests {
     }
 
     #[test]
-    fn a_large_debt_is_paid_by_several_pauses_with_a_small_read_after_each() {
+    fn a_long_backoff_has_several_pauses_with_a_small_read_after_each() {
         let start = Instant::now();
         // One read of 16 KiB, of keys outside the world.
         let (keys, sharers) = (1800, 200);
-        let owed = REFUSAL_COST * keys * sharers;
-        assert!(owed > 14 * MAX_PAUSE && owed < MAX_DEBT);
+        let whole = REFUSAL_COST * keys * sharers;
+        assert!(whole > 14 * MAX_PAUSE && whole < MAX_BACKOFF);
         let mut backoff = RefusalBackoff::new(start);
         backoff.record(requests(keys.into()), sharers as usize, start);
         let (mut now, mut pauses) = (start, 0);
@@ -249,16 +216,16 @@ mod tests {
             assert!(end - now <= MAX_PAUSE);
             (now, pauses) = (end, pauses + 1);
             assert_eq!(backoff.paused_until(now), None, "a read");
-            assert_eq!(backoff.read_size(now) < usize::MAX, now < start + owed);
+            assert_eq!(backoff.read_size(now) < usize::MAX, now < start + whole);
             // Without a rejection.
-            assert_eq!(backoff.pause(now), now < start + owed);
+            assert_eq!(backoff.pause(now), now < start + whole);
         }
-        assert_eq!((now, pauses), (start + owed, 15));
+        assert_eq!((now, pauses), (start + whole, 15));
 
-        // The debt beyond the bound is forgiven.
+        // The cost beyond the bound is dropped.
         backoff.record(requests(u64::MAX), usize::MAX, now);
-        assert_eq!(backoff.read_size(now + MAX_DEBT), usize::MAX);
-        assert!(!backoff.pause(now + MAX_DEBT));
+        assert_eq!(backoff.read_size(now + MAX_BACKOFF), usize::MAX);
+        assert!(!backoff.pause(now + MAX_BACKOFF));
     }
 
     #[test]
@@ -270,7 +237,7 @@ mod tests {
         let later = start + MIN_PAUSE;
         assert!(!backoff.record(requests(10_000), 1, later));
         assert_eq!(backoff.paused_until(later), Some(end));
-        assert!(backoff.pause(end), "it is paid after a read");
+        assert!(backoff.pause(end), "another one follows a read");
     }
 
     #[test]
@@ -282,20 +249,6 @@ mod tests {
         now.cancelled = 2;
         assert_eq!(Rejections::since(&before, &now), Rejections { requests: 6, views: 5 });
         assert_eq!(Rejections::since(&now, &now), Rejections::default());
-    }
-
-    #[test]
-    fn paused_sessions_are_counted_until_they_end() {
-        let paused = AtomicUsize::new(0);
-        let (mut one, mut other) = (PauseCount::new(&paused), PauseCount::new(&paused));
-        [true, true, false, true].into_iter().for_each(|is_paused| one.set(is_paused));
-        other.set(true);
-        assert_eq!(paused.load(Ordering::Relaxed), 2);
-        one.set(false);
-        drop(one);
-        assert_eq!(paused.load(Ordering::Relaxed), 1);
-        drop(other);
-        assert_eq!(paused.load(Ordering::Relaxed), 0);
     }
 
     #[test]

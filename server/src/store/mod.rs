@@ -29,7 +29,7 @@ use futures_util::{StreamExt, TryStreamExt, stream};
 use object_store::path::Path;
 use object_store::{Error, GetOptions, ObjectStore, ObjectStoreExt};
 use pace::Pace;
-use pack::PackIndex;
+use pack::{PackError, PackIndex};
 use protocol::chunk_codec;
 use protocol::limits::MAX_CHUNK_FRAME;
 use quick_cache::sync::Cache;
@@ -53,7 +53,8 @@ pub const FINEST_LEVEL: u8 = crate::cache::disk::FINEST_LEVEL;
 /// only counts for the pace.
 const READ_TIMEOUT: Duration = Duration::from_secs(2);
 
-/// Reads in flight. One more is not sent: the chunk is made.
+/// Reads in flight. One more is not sent: the chunk is made. A timeout ends a request over HTTP.
+/// Calls of the system go on after it; [`folder`] bounds them.
 const READS_IN_FLIGHT: usize = 64;
 
 /// Indexes of packs in memory, 1 KiB each.
@@ -126,6 +127,8 @@ struct Inner {
 /// The result of a read.
 enum Fetched {
     Object(Bytes),
+    /// The index of the pack is damaged.
+    Invalid,
     Missing,
     Failed,
 }
@@ -207,11 +210,15 @@ impl Store {
         });
         let started = Instant::now();
         let answer = answer.recv_timeout(wait);
-        if matches!(answer, Ok(Fetched::Object(_) | Fetched::Missing)) {
+        if matches!(answer, Ok(Fetched::Object(_) | Fetched::Invalid | Fetched::Missing)) {
             inner.pace.in_time();
         }
         let found = match answer {
-            Ok(Fetched::Object(frame)) => inner.checked(key, tile, frame),
+            Ok(Fetched::Object(frame)) => inner.checked(key, tile, &frame),
+            Ok(Fetched::Invalid) => {
+                inner.metrics.store.reads_invalid.inc();
+                None
+            }
             Ok(Fetched::Missing) => {
                 inner.metrics.store.misses.inc();
                 inner.pace.missing();
@@ -303,8 +310,8 @@ impl Inner {
     }
 
     /// The chunk of a frame that was read, if the frame is that of the key and undamaged.
-    fn checked(&self, key: ChunkKey, tile: Option<PackTile>, frame: Bytes) -> Option<(Chunk, Bytes)> {
-        let chunk = chunk_codec::decode(&frame, &self.world).ok().filter(|chunk| chunk.key == key);
+    fn checked(&self, key: ChunkKey, tile: Option<PackTile>, frame: &[u8]) -> Option<(Chunk, Bytes)> {
+        let chunk = chunk_codec::decode(frame, &self.world).ok().filter(|chunk| chunk.key == key);
         let Some(chunk) = chunk else {
             self.metrics.store.reads_invalid.inc();
             tile.inspect(|tile| self.is_broken(*tile));
@@ -318,7 +325,9 @@ impl Inner {
             return None;
         };
         self.metrics.store.hits.inc();
-        Some((chunk, frame))
+        // Bytes that came over HTTP are a part of the connection's buffer of 8 KiB and more. A
+        // cache counts the length of the frame only.
+        Some((chunk, Bytes::copy_from_slice(frame)))
     }
 
     /// Notes that a tile has no whole pack. It may have been replaced since its index was read.
@@ -339,7 +348,7 @@ impl Inner {
                     tracing::info!("the store answers again");
                     self.metrics.store.up.set(1);
                 }
-                return found.map_or(Fetched::Missing, Fetched::Object);
+                return found;
             }
             Ok(Err(error)) => one_line(&error),
             Err(_) => format!("no answer within {} ms", self.read_timeout.as_millis()),
@@ -352,51 +361,52 @@ impl Inner {
         Fetched::Failed
     }
 
-    async fn get(&self, id: ChunkId, tile: Option<PackTile>) -> object_store::Result<Option<Bytes>> {
+    async fn get(&self, id: ChunkId, tile: Option<PackTile>) -> object_store::Result<Fetched> {
         if let Some(tile) = tile.filter(|tile| self.broken.get(tile).is_none()) {
             let index = self.index(tile).await?;
-            if index.is_none() {
+            if !matches!(index, Some(Ok(_))) {
                 self.is_broken(tile);
             }
+            let Ok(index) = index.transpose() else { return Ok(Fetched::Invalid) };
             if let Some(range) = index.and_then(|index| index.frame(PackTile::of(id.key).1)) {
                 let frame = self.objects.get_range(&self.names.pack(tile), range).await;
                 if frame.is_err() {
                     // A shorter pack may have replaced that of the index.
                     self.indexes.remove(&tile);
                 }
-                return self.found(frame);
+                return Ok(self.found(frame)?.map_or(Fetched::Missing, Fetched::Object));
             }
         }
         if id.key.level() < FINEST_LEVEL {
-            return Ok(None);
+            return Ok(Fetched::Missing);
         }
         let answer = self.objects.get_opts(&self.names.chunk(id), GetOptions::default()).await;
-        let Some(answer) = self.found(answer)? else { return Ok(None) };
+        let Some(answer) = self.found(answer)? else { return Ok(Fetched::Missing) };
         if answer.meta.size > MAX_CHUNK_FRAME as u64 {
             // No frame: its bytes are invalid, however many come.
-            return Ok(Some(Bytes::new()));
+            return Ok(Fetched::Object(Bytes::new()));
         }
-        answer.bytes().await.map(Some)
+        answer.bytes().await.map(Fetched::Object)
     }
 
-    /// The index of a tile's pack, from memory or the store; none if there is no valid one.
-    async fn index(&self, tile: PackTile) -> object_store::Result<Option<Arc<PackIndex>>> {
+    /// The index of a tile's pack, from memory or the store; none if there is no pack.
+    async fn index(&self, tile: PackTile) -> object_store::Result<Option<Result<Arc<PackIndex>, PackError>>> {
         if let Some(index) = self.indexes.get(&tile) {
-            return Ok(Some(index));
+            return Ok(Some(Ok(index)));
         }
         let range = GetOptions::new().with_range(Some(0..pack::HEADER as u64));
         let Some(header) = self.found(self.objects.get_opts(&self.names.pack(tile), range).await)? else {
             return Ok(None);
         };
         let length = header.meta.size;
-        // A cut pack would fail range by range, as if the store did.
-        let index = pack::index(tile, &header.bytes().await?).ok().filter(|index| index.end() == length);
-        let Some(index) = index else {
-            self.metrics.store.reads_invalid.inc();
-            return Ok(None);
+        let index = match pack::index(tile, &header.bytes().await?) {
+            // A cut pack would fail range by range, as if the store did.
+            Ok(index) if index.end() != length => Err(PackError::Index),
+            index => index.map(Arc::new),
         };
-        let index = Arc::new(index);
-        self.indexes.insert(tile, Arc::clone(&index));
+        if let Ok(index) = &index {
+            self.indexes.insert(tile, Arc::clone(index));
+        }
         Ok(Some(index))
     }
 

@@ -150,7 +150,7 @@ async fn the_rate_limit_applies_on_an_idle_server() {
 }
 
 #[tokio::test]
-async fn a_session_that_is_asked_for_while_the_server_ends_is_rejected_with_that_reason() {
+async fn a_session_that_is_asked_for_while_the_server_shuts_down_is_rejected_with_that_reason() {
     let server = Server::start().await;
     let request: String =
         UPGRADE.iter().fold("GET /v1/stream HTTP/1.1\r\nHost: localhost\r\n".into(), |text, header| {
@@ -162,12 +162,12 @@ async fn a_session_that_is_asked_for_while_the_server_ends_is_rejected_with_that
     assert_eq!(server.get("/livez").await.status, 200);
     let address = server.address;
     let rest = async {
-        // A server that ends no longer listens.
+        // A server that shuts down no longer listens.
         while TcpStream::connect(address).await.is_ok() {}
         stream.write_all(b"\r\n").await.unwrap();
         String::from_utf8(read_all(stream).await).unwrap()
     };
     let (reply, ()) = tokio::join!(rest, server.stop());
     assert!(reply.starts_with("HTTP/1.1 503 "), "{reply}");
-    assert!(reply.contains("/no-session") && reply.contains("the server ends"), "{reply}");
+    assert!(reply.contains("/no-session") && reply.contains("shutting down"), "{reply}");
 }

@@ -8,6 +8,13 @@ use std::time::Duration;
 /// Timeout of every wait.
 pub const TEST_TIMEOUT: Duration = Duration::from_secs(30);
 
+/// The lines of a log about peers that break rules, with the events that each stands for.
+pub fn peer_lines(log: &str) -> Vec<(&str, u64)> {
+    let lines = log.lines().filter(|line| line.contains("peer breaks the rules"));
+    let events = |line: &str| line.rsplit_once("events=").unwrap().1.trim().parse::<u64>().unwrap();
+    lines.map(|line| (line, events(line))).collect()
+}
+
 pub fn program() -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_tombolo-server"));
     // The environment of a developer must not change a test.

@@ -80,9 +80,9 @@ async fn the_rate_limit_bounds_rejections_as_well() {
 }
 
 /// One read of invalid keys costs more than a pause where many share a thread. What exceeds the
-/// first pause is paid by the next ones.
+/// first pause follows in the next ones.
 #[tokio::test(start_paused = true)]
-async fn the_rejections_of_one_read_are_paid_in_full() {
+async fn the_rejections_of_one_read_count_in_full() {
     // The rate of a thousandth of a thread counts as a thousand sharers.
     let state = server_with_limit(Some(1));
     let bucket = state.rate_limiter.bucket(Some("10.0.0.1".parse().unwrap()));
@@ -102,5 +102,5 @@ async fn the_rejections_of_one_read_are_paid_in_full() {
         peer.send(PING, b"?").await;
         assert_eq!(peer.next().await.unwrap().0, PONG);
     }
-    assert!(before.elapsed().as_millis() < 10, "nothing is owed any more");
+    assert!(before.elapsed().as_millis() < 10, "the back-off is over");
 }

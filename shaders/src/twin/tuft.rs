@@ -53,17 +53,6 @@ pub fn tuft_vertex(
     if level == 2 {
         return quad_vertex(index, size_m, phase, pose);
     }
-    return blade_vertex(level, index, size_m, phase, pose, distance_m);
-}
-
-fn blade_vertex(
-    level: u32,
-    index: u32,
-    size_m: Vec2,
-    phase: f32,
-    pose: &StemPose,
-    distance_m: f32,
-) -> TuftVertex {
     let segments = if level == 0 { 3 } else { 1 };
     let corners = 2 * segments + 1;
     let stride = if level == 0 { corners + 2 } else { corners };

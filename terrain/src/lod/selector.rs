@@ -19,7 +19,8 @@ const MEASUREMENT: usize = 4_000;
 pub struct Selector {
     land: Land,
     viewer: Viewer,
-    /// Most chunks in the result; the coarsest are kept.
+    /// Most chunks in the result; the coarsest are kept, and of the last level that fits in part
+    /// the children of the most urgent splits.
     limit: usize,
     tops: Vec<ChunkKey>,
     splits: Splits,
@@ -174,6 +175,10 @@ impl Selector {
     }
 
     fn list(&mut self, level: u8, listed: usize, chunks: usize) -> usize {
+        let splits = &mut self.splits.levels[usize::from(level)];
+        if listed == 0 && self.found.len() + 4 * splits.len() > self.limit {
+            splits.sort_unstable_by_key(|(key, urgency)| (Reverse(*urgency), *key));
+        }
         let splits = &self.splits.levels[usize::from(level)];
         let end = listed.saturating_add(chunks).min(splits.len());
         let mut found = std::mem::take(&mut self.found);
@@ -233,6 +238,25 @@ mod tests {
                 }
                 assert!(steps > 3 || size == 100 || limit == 0, "{steps} steps of {size}");
                 assert_eq!(selector.finish(), whole, "steps of {size}, limit {limit}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_selection_beyond_the_limit_keeps_the_children_of_the_most_urgent_splits() {
+        let land = Land::new(1);
+        let viewer = Viewer { eye: (0, 0, 0), distance_m: 65_536, pixels_per_radian: 1, tolerance_q4: 16 };
+        let key = |x| ChunkKey::new(1, x, 0).unwrap();
+        for (limit, kept) in [(20, vec![0, 1, 2, 3, 4]), (8, vec![3, 1]), (7, vec![3, 1]), (4, vec![3])] {
+            for chunks in [1, 100] {
+                let mut selector = Selector::new(&land, &viewer, limit);
+                let urgencies = [20, 50, 30, 60, 10];
+                selector.splits.levels[1] = (0..).map(key).zip(urgencies).collect();
+                selector.phase = Phase::List { level: 1, listed: 0 };
+                while !selector.step(chunks) {}
+                let found: Vec<_> = selector.finish().iter().map(|needed| needed.key).collect();
+                let children = kept.iter().flat_map(|x| key(*x).children().unwrap());
+                assert_eq!(found, children.take(limit).collect::<Vec<_>>());
             }
         }
     }

@@ -1,11 +1,12 @@
 //! Many requests for few chunks: those that reach the replicas, and the chunks that these generate,
 //! without and with a store.
 
+use super::chunks::{self, Truth};
 use super::http::{agent, get_by, metric, world};
 use super::objects::{self, Objects};
-use super::{Cluster, chunks, store};
+use super::{Cluster, store};
 use crate::server::Server;
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, ensure};
 use bars::Bar;
 use std::collections::HashMap;
 use std::collections::hash_map::DefaultHasher;
@@ -67,7 +68,7 @@ pub fn rows() -> Result<Vec<Bar>> {
 }
 
 /// The same with a store; then each replica is asked for every chunk, also those whose home is the
-/// other one.
+/// other one. The truth is generation by a server without a store.
 fn with_store() -> Result<Vec<Bar>> {
     const PER_CHUNK: &str = "with a store: chunks generated, over all replicas, per chunk named";
     if let Some(reason) = objects::lacks() {
@@ -81,20 +82,64 @@ fn with_store() -> Result<Vec<Bar>> {
         |replica: &Server| metric(replica.address(), "tombolo_store_writes_total{outcome=\"written\"}");
     chunks::settled(|| cluster.replicas.iter().map(written).sum())?;
     let paths: Vec<_> = all.keys().map(|place| path(STORED_LEVEL, *place)).collect();
-    let (mut truth, mut bad) = (chunks::Truth::new(), 0);
+    let mut truth = truth_of(&paths)?;
+    let mut bad = differing(&all, STORED_LEVEL, &truth);
     let before = generated(&cluster)?;
     for replica in &cluster.replicas {
         let asked = chunks::ask(replica.address(), &paths, &mut truth, || Ok(()))?;
         bad += asked.wrong + asked.failed;
     }
     let again = generated(&cluster)? - before;
+    let control = of_spoilt_truth(&cluster.replicas[0], &paths[0], &mut truth)?;
     let wrong: u32 = all.values().map(|seen| seen.wrong).sum();
     let keys = all.len() as f64;
     Ok(vec![
-        Bar::none("with a store: wrong chunks or none", Some(f64::from(wrong) + bad as f64)),
+        Bar::none("with a store: wrong chunks or none", Some(f64::from(wrong) + bad as f64))
+            .with_note("chunks of a server without a store, which generated all of them, are right"),
+        Bar::some("control: wrong chunks where one bit of the right one differs", Some(control as f64)),
         Bar::at_most(PER_CHUNK, Some((made + again) / keys), "", 1.0),
         Bar::some("control: chunks that were generated before they were stored", Some(made)),
     ])
+}
+
+/// Chunks as a server without a store generates them.
+///
+/// # Errors
+/// The server does not start, or did not generate each of them.
+fn truth_of(paths: &[String]) -> Result<Truth> {
+    let alone = Server::start(super::WORLD_SEED)?;
+    let mut truth = Truth::new();
+    let asked = chunks::ask(alone.address(), paths, &mut truth, || Ok(()))?;
+    let made = metric(alone.address(), GENERATED)?;
+    ensure!(
+        asked.failed == 0 && made >= paths.len() as f64,
+        "a server without a store generated {made} of {} chunks, and did not answer {} requests",
+        paths.len(),
+        asked.failed
+    );
+    Ok(truth)
+}
+
+/// Addresses whose first answer has other bytes than the truth.
+fn differing(all: &HashMap<u32, Seen>, level: u8, truth: &Truth) -> usize {
+    let is_right = |place: u32, seen: &Seen| {
+        truth.get(&path(level, place)).is_some_and(|frame| seen.content == Some(content_of(frame)))
+    };
+    all.iter().filter(|(place, seen)| !is_right(**place, seen)).count()
+}
+
+/// The control: wrong answers of a replica for a chunk whose truth has another bit.
+fn of_spoilt_truth(replica: &Server, path: &str, truth: &mut Truth) -> Result<usize> {
+    let frame = truth.get_mut(path).context("no truth")?;
+    *frame.last_mut().context("an empty chunk")? ^= 1;
+    Ok(chunks::ask(replica.address(), &[path.to_owned()], truth, || Ok(()))?.wrong)
+}
+
+/// Stands for the bytes of an answer.
+fn content_of(body: &[u8]) -> u64 {
+    let mut hasher = DefaultHasher::new();
+    body.hash(&mut hasher);
+    hasher.finish()
 }
 
 /// Generated chunks of all replicas.
@@ -150,9 +195,7 @@ fn send(
         // Neighbours in rank are none on the ground.
         let place = (u64::from(rank) * 4099 % u64::from(SIDE * SIDE)) as u32;
         let answer = get_by(&agent, proxy, &format!("/v1/{digest}/{}", path(level, place)))?;
-        let mut hasher = DefaultHasher::new();
-        answer.body.hash(&mut hasher);
-        let content = hasher.finish();
+        let content = content_of(&answer.body);
         let seen = all.entry(place).or_default();
         seen.misses += u32::from(answer.cache != "HIT");
         seen.wrong += u32::from(seen.content.is_some_and(|first| first != content));
@@ -169,4 +212,19 @@ fn zipf() -> Vec<f64> {
             Some(*sum)
         })
         .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn first_answers_are_compared_with_the_truth_and_not_with_each_other() {
+        let seen = |body: &[u8]| Seen { content: Some(content_of(body)), ..Seen::default() };
+        let truth = Truth::from([(path(2, 7), vec![1, 2]), (path(2, 8), vec![3])]);
+        let differing = |all: [(u32, Seen); 2]| differing(&HashMap::from(all), 2, &truth);
+        assert_eq!(differing([(7, seen(&[1, 2])), (8, seen(&[3]))]), 0);
+        assert_eq!(differing([(7, seen(&[1, 2])), (8, seen(&[2]))]), 1, "a spoilt chunk");
+        assert_eq!(differing([(7, seen(&[1, 2])), (9, seen(&[3]))]), 1, "a chunk without a truth");
+    }
 }

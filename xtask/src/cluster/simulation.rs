@@ -41,6 +41,9 @@ const FIGURES: [(&str, &str); 3] =
 /// The figure that shows how full the processors are.
 const P99: &str = "latency_ms/p99";
 
+/// Simulated clients of the control of chunks and bytes: half as many.
+const HALF_CLIENTS: &str = "500";
+
 /// By which the work of one simulation costs more, to show how much the p99 depends on it.
 const COSTLIER: f64 = 0.1;
 
@@ -57,13 +60,11 @@ pub fn rows() -> Result<Vec<Bar>> {
     let costs = calibrated(&folder, &built_in, &before, CLIENTS)?;
     let simulated = simulation(&folder, &costs, CLIENTS)?;
     let free = simulation(&folder, &free(&costs), CLIENTS)?;
+    let half = simulation(&folder, &costs, HALF_CLIENTS)?;
     let costlier = simulation(&folder, &scaled(&costs, 1.0 + COSTLIER), CLIENTS)?;
     let of_few = calibrated(&folder, &built_in, &few, FEW_CLIENTS)?;
     let of_few = simulation(&folder, &of_few, CLIENTS)?;
     let Load { report: real, .. } = load(&folder.join("load.json"), CLIENTS)?;
-    let off_from = |report: &Value, truth: &Value, path: &str| {
-        ratio(at(report, path), at(truth, path)).map(|ratio| 100.0 * (ratio - 1.0).abs())
-    };
     let off = |report: &Value, path: &str| off_from(report, &real, path);
     let mut rows =
         vec![Bar::none("simulation: frames that a state machine rejected", at(&simulated, "wrong"))];
@@ -98,15 +99,26 @@ pub fn rows() -> Result<Vec<Bar>> {
             "%",
         ),
     ]);
-    rows.push(Bar::at_least(
-        "control: p99 of a simulation whose work costs nothing, off by",
-        off(&free, P99),
-        "%",
-        WITHIN,
-    ));
+    rows.extend(controls(&half, &free, &real));
     // Results of a build may stay: a failed removal is harmless.
     let _ = std::fs::remove_dir_all(&folder);
     Ok(rows)
+}
+
+/// How far a figure of a report is off the same one of another report, percent.
+fn off_from(report: &Value, truth: &Value, path: &str) -> Option<f64> {
+    ratio(at(report, path), at(truth, path)).map(|ratio| 100.0 * (ratio - 1.0).abs())
+}
+
+/// The controls of all compared figures: simulations that differ from the real load by more than
+/// the bar. Half as many clients get fewer chunks, also where 1,000 have only 60 % of their chunks.
+fn controls(half: &Value, free: &Value, real: &Value) -> [Bar; 3] {
+    [
+        ("control: chunks of 500 simulated clients, off by", half, "chunks"),
+        ("control: bytes of 500 simulated clients, off by", half, "bytes"),
+        ("control: p99 of a simulation whose work costs nothing, off by", free, P99),
+    ]
+    .map(|(name, report, path)| Bar::at_least(name, off_from(report, real, path), "%", WITHIN))
 }
 
 fn simulate(arguments: &[&str]) -> std::process::Command {
@@ -195,6 +207,16 @@ fn simulation(folder: &Path, costs: &Value, clients: &str) -> Result<Value> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn each_compared_figure_has_a_control_that_misses_where_nothing_differs() {
+        let real = json!({ "chunks": 100, "bytes": 1000, "latency_ms": { "p99": 50.0 } });
+        let half = json!({ "chunks": 50, "bytes": 500 });
+        let free = json!({ "latency_ms": { "p99": 1.0 } });
+        let missed = |rows: [Bar; 3]| rows.iter().filter(|row| row.is_missed()).count();
+        assert_eq!(missed(controls(&half, &free, &real)), 0);
+        assert_eq!(missed(controls(&real, &real, &real)), FIGURES.len());
+    }
 
     #[test]
     fn costs_of_every_level_are_scaled_and_cost_nothing_in_the_control() {

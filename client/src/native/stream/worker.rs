@@ -10,6 +10,7 @@ use futures_util::{SinkExt as _, StreamExt as _};
 use protocol::backoff::Backoff;
 use protocol::client::ClientConfig;
 use protocol::{CloseCode, DataFrame};
+use std::hash::{BuildHasher, RandomState};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
@@ -33,6 +34,8 @@ pub struct Worker {
 /// State that outlives a session.
 struct Memory {
     backoff: Backoff,
+    /// Spreads the requests of missed chunks: other viewers of a server miss the same ones.
+    retry_seed: u64,
     trust: Trust,
     /// When the present session began, once the server has welcomed it.
     welcomed: Option<Instant>,
@@ -42,9 +45,11 @@ impl Worker {
     /// Runs until the viewer closes or the server is given up.
     pub async fn run(mut self) {
         let timeouts = self.settings.timeouts;
-        let seed = u64::from(std::process::id()) << 20;
+        // Process numbers of two machines may be equal; in containers they usually are.
+        let random = RandomState::new();
+        let [seed, retry_seed] = [0, 1].map(|number| random.hash_one(number));
         let backoff = Backoff::new(timeouts.first_retry, timeouts.longest_retry, seed);
-        let mut memory = Memory { backoff, trust: Trust::default(), welcomed: None };
+        let mut memory = Memory { backoff, retry_seed, trust: Trust::default(), welcomed: None };
         loop {
             let ended = self.session(&mut memory).await;
             // A server that welcomes and closes at once is not asked again at once.
@@ -93,7 +98,8 @@ impl Worker {
             software: concat!("tombolo-view ", env!("CARGO_PKG_VERSION")).into(),
             window: WINDOW,
         };
-        let mut session = GuardedSession::new(config, timeouts.first_retry, timeouts.longest_retry);
+        let delays = (timeouts.first_retry, timeouts.longest_retry);
+        let mut session = GuardedSession::new(config, delays, memory.retry_seed);
         let ended = self.run_session(&mut socket, &mut session, memory).await;
         self.counters.add(session.take_rejects());
         let code = match &ended {

@@ -4,7 +4,6 @@ use super::Driver;
 use crate::mechanism::Mechanism;
 use crate::session::refusal_backoff::Rejections;
 use protocol::message::RefusalReason;
-use std::sync::atomic::Ordering;
 use tokio::io::{AsyncRead, AsyncWrite};
 use tokio::time::Instant;
 
@@ -19,11 +18,9 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
         let superseded = now.superseded_views - before.superseded_views;
         let rejections = Rejections::since(&before, &now);
         if rejections != Rejections::default() {
-            let paused = self.state.paused_sessions.load(Ordering::Relaxed);
-            let sharers = self.state.generation.sharers(&self.flow);
-            let sharers = sharers.max(paused.div_ceil(self.state.config.threads));
             // A rate limit bounds the work of rejections as well.
-            let sharers = sharers.max(self.flow.bucket().thread_shares());
+            let by_rate = self.flow.bucket().thread_shares();
+            let sharers = self.state.generation.sharers(&self.flow).max(by_rate);
             let backs_off = self.state.config.without != Some(Mechanism::RefusalBackoff);
             let begins = backs_off && self.backoff.record(rejections, sharers, Instant::now());
             metrics.limits.refusal_backoffs.inc_by(u64::from(begins));

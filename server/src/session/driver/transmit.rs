@@ -2,7 +2,6 @@
 
 use super::Driver;
 use crate::session::end::{EndReason, SessionEnd, write_within};
-use protocol::CloseCode;
 use tokio::io::{AsyncRead, AsyncWrite};
 use tokio::time::Instant;
 
@@ -20,6 +19,8 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
     /// none of it gets no Close frame, either.
     pub(super) async fn ended(&mut self, end: SessionEnd) -> SessionEnd {
         match self.flush().await {
+            // The first reason stays. Without a Close frame, whose answer would keep the memory.
+            Err(failed) if failed.reason == EndReason::MemoryShed => SessionEnd::without_code(end.reason),
             Err(failed) if failed.reason.leaves_unread_bytes() => failed,
             _ => end,
         }
@@ -69,6 +70,6 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
         let jitter_ms = terrain::hash::mix(self.stats.number() as u32) % (max_ms - min_ms);
         self.session.drain(min_ms + jitter_ms);
         self.is_draining = true;
-        self.ended(SessionEnd::with_code(EndReason::Drained, CloseCode::GoingAway)).await
+        self.ended(SessionEnd::going_away(EndReason::Drained, "server is shutting down")).await
     }
 }
