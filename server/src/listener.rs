@@ -88,6 +88,7 @@ pub async fn run(
         Arc::clone(&state.memory),
         Arc::clone(&state.metrics),
         state.open_sessions.clone(),
+        Arc::clone(&state),
     )));
     let _peer_log = AbortOnDropHandle::new(tokio::spawn(Arc::clone(&state.peer_log).run()));
     let router = http::router(Arc::clone(&state));

@@ -1,8 +1,11 @@
 //! `tombolo-server`: reads the configuration, binds, and runs until SIGINT or SIGTERM; or bakes.
 
+mod allocator;
+
 use cli::UsageError;
 use server::bake::{BakeArgs, Baked};
 use server::config::{Args, Command, ServerConfig, log_filter};
+use server::memory::heaps;
 use server::traces::{self, Exporter};
 use server::{listener, open_files};
 use std::io::{ErrorKind, IsTerminal, Write};
@@ -28,11 +31,6 @@ const LOG_LINES: usize = 8192;
 /// more.
 const BLOCKING_TIMEOUT: Duration = Duration::from_secs(1);
 
-/// Generation allocates blocks of some 20 KiB for microseconds. The system's allocator returns such
-/// memory to the kernel and faults it in again, page by page.
-#[global_allocator]
-static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
-
 fn main() -> ExitCode {
     let mut args: Args = match cli::parse() {
         Ok(args) => args,
@@ -50,7 +48,9 @@ fn main() -> ExitCode {
         Err(message) => return cli::fail(NAME, message, cli::USAGE),
     };
     open_files::raise(config.max_sessions);
+    heaps::set_allocator(allocator::return_pages);
     let served = tokio::runtime::Builder::new_multi_thread()
+        .on_thread_park(heaps::return_if_requested)
         .enable_all()
         .build()
         .map_err(|error| format!("cannot start the runtime: {error}"))

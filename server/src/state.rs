@@ -10,6 +10,7 @@ use crate::limits::per_ip::PerIpLimiter;
 use crate::limits::rate_limit::RateLimiter;
 use crate::map::Map;
 use crate::memory::MemoryMark;
+use crate::memory::reclaim::Reclaim;
 use crate::metrics::Metrics;
 use crate::open_sessions::OpenSessions;
 use crate::source::ProceduralSource;
@@ -143,5 +144,17 @@ impl ServerState {
             },
             config,
         })
+    }
+}
+
+impl Reclaim for ServerState {
+    fn clear_caches(&self) {
+        self.generation.clear_cache();
+        self.map.clear_cache();
+        self.metrics.limits.memory_cache_clears.inc();
+    }
+
+    fn return_pages(&self) {
+        self.generation.return_pages();
     }
 }

@@ -59,6 +59,11 @@ impl FrameCache {
         self.cache.insert((id, delivery), frame);
     }
 
+    /// Removes all frames.
+    pub fn clear(&self) {
+        self.cache.clear();
+    }
+
     /// The error of a chunk from its cached frame of any delivery.
     #[must_use]
     pub fn known_error(&self, id: ChunkId) -> Option<u32> {
@@ -93,5 +98,7 @@ mod tests {
         let frames = cache.cache.len() as u64;
         assert!((1..=10).contains(&frames), "{frames}");
         assert_eq!(cache.weight(), frames * budget / 10);
+        cache.clear();
+        assert_eq!((cache.cache.len(), cache.weight()), (0, 0));
     }
 }

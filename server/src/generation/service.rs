@@ -10,6 +10,7 @@ use crate::cache::disk::Disk;
 use crate::cache::memory::FrameCache;
 use crate::limits::rate_limit::TokenBucket;
 use crate::mechanism::Mechanism;
+use crate::memory::heaps;
 use crate::metrics::Metrics;
 use crate::source::ChunkSource;
 use crate::store::Store;
@@ -151,6 +152,16 @@ impl Generation {
     pub fn sharers(&self, flow: &Flow) -> usize {
         let Shared { active, paused, limits, .. } = &*self.shared;
         active.shares(flow.turns()).max(paused.shares(flow.turns())).div_ceil(limits.threads)
+    }
+
+    /// Drops all frames that are cached in memory.
+    pub fn clear_cache(&self) {
+        self.shared.frames.clear();
+    }
+
+    /// Has each generation thread return the free pages of its heap, if that is requested.
+    pub fn return_pages(&self) {
+        self.threads.broadcast(heaps::return_if_requested);
     }
 
     /// Waits a bounded time for the pending writes and releases the folder of the disk cache. For

@@ -42,6 +42,11 @@ impl Threads {
     pub fn spawn(&self, run: impl FnOnce() + Send + 'static) {
         self.pool.spawn(run);
     }
+
+    /// Runs a function on each of the threads, when it has no job.
+    pub fn broadcast(&self, run: fn()) {
+        self.pool.spawn_broadcast(move |_| run());
+    }
 }
 
 #[cfg(shuttle)]
@@ -55,6 +60,9 @@ impl Threads {
     pub fn spawn(&self, run: impl FnOnce() + Send + 'static) {
         shuttle::thread::spawn(run);
     }
+
+    /// Runs nothing: no thread stays.
+    pub fn broadcast(&self, _run: fn()) {}
 }
 
 /// Lowers the priority of this thread a little: connections that wait for a moment of processor

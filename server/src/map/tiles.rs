@@ -112,6 +112,11 @@ impl Map {
         }
     }
 
+    /// Drops all cached tiles.
+    pub fn clear_cache(&self) {
+        self.cache.clear();
+    }
+
     /// The tile of a key for a client; rendering and sending are charged to its bucket. Dropping
     /// the future cancels its requests.
     ///

@@ -2,11 +2,13 @@
 //! begins, and open sessions receive no new views or chunks. The rest is for the data that they
 //! hold already.
 //!
-//! The memory that many sessions hold together may still grow. If the memory stays beyond the mark,
-//! sessions end, few at a time; close to the limit, many: otherwise the system would end the
-//! process, and with it every session. Those of the sites that have the most end first.
+//! At the mark the caches are cleared first. The memory that many sessions hold together may still
+//! grow. If the memory stays beyond the mark, sessions end, few at a time; close to the limit, many:
+//! otherwise the system would end the process, and with it every session. Those of the sites that
+//! have the most end first.
 
 use super::limit::{MemoryLimit, OpenFiles};
+use super::reclaim::{Reclaim, Reclaimer};
 use crate::limits::networks::client_site;
 use crate::metrics::Metrics;
 use crate::open_sessions::OpenSessions;
@@ -158,12 +160,17 @@ impl Shedding {
 }
 
 /// Looks at the memory in use until it is dropped. Ends at once without a limit.
-pub async fn watch(mark: Arc<MemoryMark>, metrics: Arc<Metrics>, sessions: OpenSessions) {
+pub async fn watch(
+    mark: Arc<MemoryMark>,
+    metrics: Arc<Metrics>,
+    sessions: OpenSessions,
+    server: Arc<impl Reclaim>,
+) {
     let Some(limit) = &mark.limit else { return };
     metrics.limits.memory_limit_bytes.set(i64::try_from(limit.bytes()).unwrap_or(i64::MAX));
     let mut ticks = tokio::time::interval(INTERVAL);
     ticks.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
-    let mut shedding = Shedding::default();
+    let (mut shedding, mut reclaimer) = (Shedding::default(), Reclaimer::default());
     let mut room_at = Instant::now();
     let (files, mut is_unknown) = (OpenFiles::default(), false);
     loop {
@@ -186,6 +193,8 @@ pub async fn watch(mark: Arc<MemoryMark>, metrics: Arc<Metrics>, sessions: OpenS
                 tracing::info!(used_mib, %limit, "memory is free again");
             }
         }
+        let is_near = used >= limit.bytes() / 8 * READY_EIGHTHS;
+        reclaimer.look(is_near, mark.is_exceeded(), now, &*server);
         if now >= room_at {
             mark.make_room(used, limit.bytes());
             room_at = now + ADMISSION;

@@ -1,8 +1,10 @@
-//! Memory of the process: what it may use ([`limit`]), and the mark beyond which no further session
-//! begins ([`mark`]).
+//! Memory of the process: what it may use ([`limit`]), the mark beyond which no further session
+//! begins ([`mark`]), and what goes back to the system then ([`reclaim`], [`heaps`]).
 
+pub mod heaps;
 pub mod limit;
 pub mod mark;
+pub mod reclaim;
 
 pub use limit::MemoryLimit;
 pub use mark::MemoryMark;

@@ -22,6 +22,8 @@ pub struct LimitMetrics {
     pub memory_used_bytes: Gauge,
     /// Memory that the process may use, bytes; 0 if that is not known.
     pub memory_limit_bytes: Gauge,
+    /// Times that the caches in memory were cleared for lack of memory.
+    pub memory_cache_clears: Counter,
     /// Open connections that are no sessions.
     pub connections: Gauge,
     /// Connections over the limits in all and per client network, closed after accept.
@@ -54,6 +56,11 @@ impl LimitMetrics {
             register(registry, "memory_used_bytes", "Memory in use that counts against the limit");
         let memory_limit_bytes =
             register(registry, "memory_limit_bytes", "Memory that the process may use; 0 if not known");
+        let memory_cache_clears = register(
+            registry,
+            "memory_cache_clears",
+            "Times that the caches in memory were cleared for lack of memory",
+        );
         let connections = register(registry, "connections", "Open connections that are no sessions");
         let connections_rejected = register(
             registry,
@@ -93,6 +100,7 @@ impl LimitMetrics {
         Self {
             memory_used_bytes,
             memory_limit_bytes,
+            memory_cache_clears,
             connections,
             connections_rejected,
             connections_failed,

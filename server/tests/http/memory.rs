@@ -13,6 +13,7 @@ async fn server_with(bytes: u64) -> Server {
 #[cfg(target_os = "linux")]
 #[tokio::test]
 async fn beyond_the_mark_open_sessions_end_the_newest_first() {
+    use server::memory::reclaim::Reclaim;
     use server::memory::{MemoryMark, mark};
     use server::open_sessions::OpenSessions;
     use std::sync::Arc;
@@ -23,8 +24,13 @@ async fn beyond_the_mark_open_sessions_end_the_newest_first() {
     let has_to_end =
         async |index: usize| timeout(Duration::from_millis(1), sessions[index].ends()).await.is_ok();
     assert!(!has_to_end(15).await);
+    struct Nothing;
+    impl Reclaim for Nothing {
+        fn clear_caches(&self) {}
+        fn return_pages(&self) {}
+    }
     let full = Arc::new(MemoryMark::new(Some(MemoryLimit::of_machine(1 << 20))));
-    let watching = tokio::spawn(mark::watch(full, Arc::default(), open.clone()));
+    let watching = tokio::spawn(mark::watch(full, Arc::default(), open.clone(), Arc::new(Nothing)));
     while !has_to_end(15).await {
         tokio::task::yield_now().await;
     }
@@ -45,6 +51,7 @@ async fn beyond_the_mark_no_session_begins_and_the_server_is_not_ready() {
     assert_eq!((refused.status, refused.problem().as_str()), (503, "no-session"));
     assert!(!refused.header("retry-after").is_empty());
     assert_eq!(full.get("/readyz").await.status, 503);
+    assert!(full.metric("tombolo_memory_cache_clears_total").await > 0.0);
     assert_eq!(full.get("/livez").await.status, 200);
     assert_eq!(full.get(&full.path("chunk/0/0/0")).await.status, 200, "who is connected is served");
     full.stop().await;
@@ -53,6 +60,7 @@ async fn beyond_the_mark_no_session_begins_and_the_server_is_not_ready() {
     while free.metric("tombolo_memory_used_bytes").await == 0.0 {
         tokio::task::yield_now().await;
     }
+    assert_eq!(free.metric("tombolo_memory_cache_clears_total").await, 0.0);
     assert_eq!(free.upgrade(&[]).await.status, 101);
     assert_eq!(free.get("/readyz").await.status, 200);
 }
