@@ -215,7 +215,7 @@ pub fn bars(figures: &Value) -> Vec<Bar> {
             0.95,
         ),
         Bar::none("the same with 128 MiB, 1 min: processes killed", killed("small")),
-        Bar::reported("the same with 128 MiB: the most memory", of("small/peak_mib"), "MiB"),
+        Bar::reported("the same with 128 MiB: the most memory", at(figures, "small/peak_mib"), "MiB"),
         Bar::none("the same with 128 MiB and a cache of 1 GiB: killed", killed("large_cache")),
         Bar::at_least("the same with 8 MiB: killed (control)", at(figures, "control/killed"), "", 1.0),
     ];
@@ -267,9 +267,8 @@ mod tests {
         ];
         check(bars, &good, &bad);
         let of_the_long_load = |figures: &Value| {
-            let rows = bars(figures);
-            let own = rows.len() - mark::bars(&Value::Null).len();
-            rows.into_iter().take(own).collect::<Vec<_>>()
+            // The others have a length of their own.
+            bars(figures).into_iter().take(5).collect::<Vec<_>>()
         };
         check_without_peers(of_the_long_load, &good, "/seconds", json!(599));
     }
