@@ -83,7 +83,8 @@ pub async fn run<D: Dial>(task: &Task<'_, D>, etags: &mut EtagCache) -> Outcome 
             Some(waited) => task.counters.unsent(waited),
             // The run ended before it was due.
             None if task.interrupt.is_cancelled() => break,
-            // An action due after an early end has not waited.
+            // An action due after an early end has not waited. Those of the whole phase count,
+            // also if the run is interrupted later.
             None => task.counters.skipped(),
         }
     }

@@ -61,7 +61,10 @@ fn drive(config: LoadConfig, json: Option<&Path>, picture: Option<&Path>, quiet:
         .event_interval(4)
         .build()
         .context("cannot start the runtime")?;
-    let report = runtime.block_on(run_with_progress(config, quiet))?;
+    let outcome = runtime.block_on(run_with_progress(config, quiet));
+    // A look-up of a name may take long: its thread must not keep the program.
+    runtime.shutdown_background();
+    let report = outcome?;
     // A closed pipe is no reason to fail; the exit code has the verdict.
     let _ = write!(std::io::stdout(), "{report}");
     let written = write_json(json, &report).and_then(|()| write_plot(picture, &report));

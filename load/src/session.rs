@@ -153,7 +153,8 @@ impl<'t, 'a, D: Dial> Session<'t, 'a, D> {
         let mut stop = self.task.end;
         let mut interrupted = pin!(self.task.interrupt.cancelled());
         loop {
-            if let Err(problem) = transmit(&mut self.socket, &mut self.machine).await {
+            let sent = transmit(&mut self.socket, &mut self.machine);
+            if let Some(Err(problem)) = self.task.interrupt.run_until_cancelled(sent).await {
                 let is_open = schedule.is_open();
                 let read = timeout(LAST_FRAMES_WITHIN, self.read_last_frames(&problem, is_open)).await;
                 return read.unwrap_or(SessionEnd::Lost(problem));

@@ -112,7 +112,7 @@ fn an_interrupt_ends_with_130_and_the_report_so_far() {
     let listener = std::net::TcpListener::bind("127.0.0.1:0").expect("a free port");
     let url = format!("ws://{}/v1/stream", listener.local_addr().expect("bound"));
     let json = std::env::temp_dir().join(format!("tombolo-load-interrupt-{}.json", std::process::id()));
-    let program = Command::new(env!("CARGO_BIN_EXE_tombolo-load"))
+    let mut program = Command::new(env!("CARGO_BIN_EXE_tombolo-load"))
         .args(["--connect", &url, "--clients", "1", "--seconds", "3600", "--json"])
         .arg(&json)
         .stdout(Stdio::piped())
@@ -120,7 +120,16 @@ fn an_interrupt_ends_with_130_and_the_report_so_far() {
         .spawn()
         .expect("the program starts");
     // The program handles signals before its first client connects. The client gets no answer.
-    let connection = listener.accept().expect("a client connects");
+    listener.set_nonblocking(true).expect("a listener");
+    let connection = loop {
+        match listener.accept() {
+            Ok(connection) => break connection,
+            Err(_) if program.try_wait().expect("a child").is_none() => {
+                std::thread::sleep(std::time::Duration::from_millis(5));
+            }
+            Err(error) => panic!("the program ended before it connected: {error}"),
+        }
+    };
     let killed = Command::new("kill").args(["-INT", &program.id().to_string()]).status();
     assert!(killed.expect("kill runs").success());
     let output = program.wait_with_output().expect("the program ends");

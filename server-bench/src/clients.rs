@@ -60,19 +60,16 @@ impl BusyThreads {
                 }
             })
         };
-        let threads = (0..processors()).map(work).collect();
+        let threads = processors().into_iter().map(work).collect();
         Self { must_stop, threads }
     }
 }
 
 /// Processors that a thread may move to, whatever those of this process are: the client has other
 /// ones than the server.
-fn processors() -> usize {
-    let is_one = |processor: &usize| {
-        let processor = *processor;
-        std::thread::spawn(move || moves_to(processor)).join().unwrap_or(false)
-    };
-    (0..MOST_PROCESSORS).take_while(is_one).count()
+fn processors() -> Vec<usize> {
+    let all = || (0..MOST_PROCESSORS).filter(|processor| moves_to(*processor)).collect();
+    std::thread::spawn(all).join().unwrap_or_default()
 }
 
 /// Moves this thread to a processor. False if there is none of this number.

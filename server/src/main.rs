@@ -50,7 +50,7 @@ fn main() -> ExitCode {
     open_files::raise(config.max_sessions);
     heaps::set_allocator(allocator::return_pages);
     let served = tokio::runtime::Builder::new_multi_thread()
-        .on_thread_park(heaps::return_if_requested)
+        .on_thread_park(|| _ = heaps::return_if_requested())
         .enable_all()
         .build()
         .map_err(|error| format!("cannot start the runtime: {error}"))

@@ -78,7 +78,7 @@ impl SessionStats {
         self.ending().unwrap_or(Ending::Memory)
     }
 
-    /// Why the session has to end, the latest cause; none if it has not.
+    /// Why the session has to end, the first cause; none if it has not.
     #[must_use]
     pub fn ending(&self) -> Option<Ending> {
         let ending = self.ending.load(Ordering::Relaxed);
@@ -100,7 +100,8 @@ impl SessionStats {
     }
 
     fn end(&self, ending: Ending) {
-        self.ending.store(ending as u8, Ordering::Relaxed);
+        // The first cause stays: the place of a displaced session is promised.
+        let _ = self.ending.compare_exchange(0, ending as u8, Ordering::Relaxed, Ordering::Relaxed);
         self.ends.notify_one();
     }
 

@@ -84,15 +84,17 @@ impl<'a, T: Send + 'static> File<'a, T> {
     /// Reads it again, after the end of an earlier read that took too long.
     async fn reload(&mut self, is_asked: bool) {
         let (reading, read) = (&mut self.reading, Arc::clone(&self.read));
-        let newest = async {
-            if let Some(late) = reading {
-                // Its result may be out of date.
-                let _ = late.await;
-            }
-            // Files may be on a slow disk.
-            reading.insert(spawn_blocking(move || read())).await
+        // The result of a late read may be out of date.
+        let waited = match reading.as_mut() {
+            Some(late) => timeout(READ_TIMEOUT, late).await.map(drop),
+            None => Ok(()),
         };
-        let outcome = match timeout(READ_TIMEOUT, newest).await {
+        // Files may be on a slow disk.
+        let read = match waited {
+            Ok(()) => timeout(READ_TIMEOUT, reading.insert(spawn_blocking(move || read()))).await,
+            Err(late) => Err(late),
+        };
+        let outcome = match read {
             Ok(content) => {
                 self.reading = None;
                 // A panic is reported by its hook.

@@ -119,7 +119,9 @@ fn explained(error: &io::Error) -> io::Error {
             CertificateError::NotValidForName | CertificateError::NotValidForNameContext { .. } => {
                 "connect to a name or an address that the certificate has"
             }
-            CertificateError::BadSignature => "the trusted authority of that name has another key",
+            CertificateError::BadSignature => {
+                "name its authority with --ca-file; the trusted one of that name has another key"
+            }
             _ => "the server needs another certificate",
         },
         Some(rustls::Error::InvalidMessage(_)) => "the server speaks no TLS, connect with ws://",
@@ -200,7 +202,7 @@ mod tests {
             (CertificateError::BadSignature, "another key"),
             (CertificateError::Revoked, "another certificate"),
         ] {
-            let is_unknown = why == CertificateError::UnknownIssuer;
+            let is_unknown = matches!(why, CertificateError::UnknownIssuer | CertificateError::BadSignature);
             let failed = io::Error::new(io::ErrorKind::InvalidData, rustls::Error::from(why));
             let text = explained(&failed).to_string();
             assert!(text.contains(remedy) && text.contains(&failed.to_string()), "{text}");

@@ -80,8 +80,8 @@ pub struct GuardedSession {
 }
 
 impl GuardedSession {
-    /// A session before its handshake. The first and the longest delay of retries, and the seed of
-    /// their jitter.
+    /// A session before its handshake. `delays` are the first and the longest delay of a retry,
+    /// `retry_seed` is the seed of their jitter.
     #[must_use]
     pub fn new(config: ClientConfig, delays: (Duration, Duration), retry_seed: u64) -> Self {
         Self {

@@ -39,7 +39,10 @@ const LENGTH: Duration = Duration::from_secs(60);
 const SESSION: Duration = Duration::from_secs(15);
 const INTERVAL: Duration = Duration::from_millis(200);
 
-/// Longest time beyond the length until the server is beyond its mark, so that the load ends there.
+/// Time between two attempts to begin a session at the end of the load.
+const LOOK: Duration = Duration::from_millis(5);
+
+/// Longest time beyond the length until the server rejects a session, so that the load ends there.
 const MARK_WAIT: Duration = Duration::from_secs(10);
 
 /// Longest time until the server is ready again.
@@ -92,10 +95,11 @@ pub async fn load(server: &ServerProcess, keys: &Arc<[ChunkKey]>) -> Result<Valu
             marked += u32::from(is_marked(address).await?);
             tokio::time::sleep(INTERVAL).await;
         }
-        // The load ends while the server is beyond its mark.
-        let mut ends_marked = is_marked(address).await?;
+        // The load ends while the server rejects sessions.
+        let mut ends_marked = is_rejected(address).await;
         while !ends_marked && Instant::now() < end + MARK_WAIT {
-            ends_marked = is_marked(address).await?;
+            tokio::time::sleep(LOOK).await;
+            ends_marked = is_rejected(address).await;
         }
         anyhow::Ok((looks, marked, ends_marked))
     };
@@ -124,6 +128,12 @@ pub async fn load(server: &ServerProcess, keys: &Arc<[ChunkKey]>) -> Result<Valu
         "recovery_s": recovery_s,
         "chunks_share_after": after.chunks as f64 / before.chunks as f64,
     }))
+}
+
+/// Whether the server rejects a session.
+async fn is_rejected(address: SocketAddr) -> bool {
+    let connected = Connection::connect(address).await;
+    connected.is_err_and(|error| format!("{error:#}").contains(" 503 "))
 }
 
 /// Whether the server says that it is beyond its mark.
@@ -186,7 +196,7 @@ pub fn bars(figures: &Value) -> Vec<Bar> {
         Bar::none("the same: processes killed at the mark", at(figures, "killed").filter(|_| is_running)),
         Bar::reported("the same: most memory at the mark", at(figures, "peak_mib"), "MiB"),
         Bar::at_most("the same: time until sessions begin again", at(figures, "recovery_s"), "s", 60.0)
-            .with_note("until a session is accepted, from a moment at which /readyz names the memory"),
+            .with_note("until a session is accepted, from a moment at which one is rejected"),
         Bar::at_least(
             "the same: polite clients' chunks after over before",
             at(figures, "chunks_share_after"),

@@ -252,7 +252,7 @@ mod tests {
         }
     }
 
-    /// Before, such a token was in use, and no request could send it.
+    /// Such a token was accepted, and no `Authorization` could carry it.
     #[test]
     fn a_token_that_no_header_can_carry_is_refused() {
         let entry = |token: &str| format!("[[token]]\nname = \"a\"\ntoken = \"{token}\"\n");

@@ -10,7 +10,7 @@ use super::cost::MAX_OUTLIER;
 use super::queue::{Charge, FlowId, FlowPath, FrameRequest, MissingFrame, Payment, Queue};
 use super::result::{Completion, FrameResult, GenerationError};
 use super::shared::Shared;
-use super::threads::Threads;
+use super::threads::{Threads, run_broadcasts};
 use super::views::ViewJob;
 use crate::cache::memory::CachedFrame;
 use crate::chunk_id::ChunkId;
@@ -113,6 +113,8 @@ impl Shared {
     pub(super) fn run(&self) {
         let deadline = self.limits.deadline;
         loop {
+            // A runner may go on for hours.
+            run_broadcasts();
             let turn = {
                 let mut queue = self.lock();
                 let turn = queue.take(QUANTUM_US, deadline, Instant::now());

@@ -159,9 +159,10 @@ impl Generation {
         self.shared.frames.clear();
     }
 
-    /// Has each generation thread return the free pages of its heap, if that is requested.
+    /// Has each generation thread return the free pages of its heap after its turn, if that is
+    /// requested.
     pub fn return_pages(&self) {
-        self.threads.broadcast(heaps::return_if_requested);
+        self.threads.broadcast(|| _ = heaps::return_if_requested());
     }
 
     /// Waits a bounded time for the pending writes and releases the folder of the disk cache. For
@@ -211,6 +212,8 @@ mod tests {
         }
         assert_eq!(fixture.metrics.generation.jobs_completed.get(), 1);
         assert!(fixture.service.cached(key(1), Delivery::Exact).is_some());
+        fixture.service.clear_cache();
+        assert!(fixture.service.cached(key(1), Delivery::Exact).is_none());
     }
 
     #[tokio::test]

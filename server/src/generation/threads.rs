@@ -43,10 +43,17 @@ impl Threads {
         self.pool.spawn(run);
     }
 
-    /// Runs a function on each of the threads, when it has no job.
+    /// Runs a function on each of the threads: when it waits, or calls [`run_broadcasts`].
     pub fn broadcast(&self, run: fn()) {
         self.pool.spawn_broadcast(move |_| run());
     }
+}
+
+/// Runs what [`Threads::broadcast`] has left for this thread. Other functions are not spawned on a
+/// thread of the pool, so that no other waits here.
+#[cfg(not(shuttle))]
+pub fn run_broadcasts() {
+    while rayon::yield_local() == Some(rayon::Yield::Executed) {}
 }
 
 #[cfg(shuttle)]
@@ -65,10 +72,36 @@ impl Threads {
     pub fn broadcast(&self, _run: fn()) {}
 }
 
+/// Runs nothing.
+#[cfg(shuttle)]
+pub fn run_broadcasts() {}
+
 /// Lowers the priority of this thread a little: connections that wait for a moment of processor
 /// time go before jobs that take milliseconds. Linux alone has a priority for each thread.
 #[cfg(not(shuttle))]
 fn lower_priority() {
     #[cfg(target_os = "linux")]
     let _ = rustix::process::nice(NICE);
+}
+
+#[cfg(all(test, not(shuttle)))]
+mod tests {
+    use super::*;
+    use std::sync::atomic::{AtomicBool, Ordering};
+    use std::sync::mpsc;
+
+    #[test]
+    fn a_broadcast_reaches_a_thread_whose_function_goes_on() {
+        static IS_REACHED: AtomicBool = AtomicBool::new(false);
+        let threads = Threads::start(1).unwrap();
+        let (sender, ended) = mpsc::channel();
+        threads.spawn(move || {
+            while !IS_REACHED.load(Ordering::Relaxed) {
+                run_broadcasts();
+            }
+            sender.send(()).unwrap();
+        });
+        threads.broadcast(|| IS_REACHED.store(true, Ordering::Relaxed));
+        ended.recv().unwrap();
+    }
 }

@@ -1,7 +1,7 @@
 //! Log lines about peers that break rules: one for the first event of a client network and reason,
 //! then one a minute with the number of further events.
 
-use crate::limits::networks::client_network;
+use crate::limits::networks::client_site;
 use std::collections::HashMap;
 use std::mem;
 use std::net::IpAddr;
@@ -90,7 +90,7 @@ impl PeerLog {
 impl Table {
     /// Counts an event. Whether it is the first of a new entry, whose line is due at once.
     fn count(&mut self, address: IpAddr, reason: &'static str) -> bool {
-        let key = (client_network(address), reason);
+        let key = (client_site(address), reason);
         if let Some(entry) = self.entries.get_mut(&key) {
             *entry = Entry { address, events: entry.events + 1 };
             return false;
@@ -112,7 +112,13 @@ impl Table {
             reason,
             events: mem::take(&mut entry.events),
         };
-        (self.entries.iter_mut().map(line).collect(), mem::take(&mut self.without_entry))
+        let lines = self.entries.iter_mut().map(line).collect();
+        let without_entry = mem::take(&mut self.without_entry);
+        if without_entry > 0 {
+            // Those that have entries must not keep others out.
+            self.entries.clear();
+        }
+        (lines, without_entry)
     }
 }
 
@@ -159,7 +165,7 @@ mod tests {
     #[test]
     fn addresses_of_one_network_have_one_line_with_the_latest() {
         let mut table = Table::default();
-        let [first, latest] = ["2001:db8:1:2::1", "2001:db8:1:2:ffff::9"].map(address);
+        let [first, latest] = ["2001:db8:1:2::1", "2001:db8:1:3:ffff::9"].map(address);
         assert!(table.count(first, "a") && !table.count(latest, "a"));
         assert_eq!(table.take().0, [Line { address: latest, reason: "a", events: 1 }]);
     }
@@ -173,9 +179,12 @@ mod tests {
         };
         assert_eq!(at_once(1, &mut table), MAX_ENTRIES);
         assert_eq!(table.entries.len(), MAX_ENTRIES);
-        let others = 10_000 - MAX_ENTRIES as u64;
-        assert_eq!(table.take(), (vec![], others), "no address has their events");
-        assert_eq!(at_once(20_000, &mut table), MAX_ENTRIES, "as many again");
+        assert_eq!(at_once(1, &mut table), 0);
+        let others = 2 * (10_000 - MAX_ENTRIES as u64);
+        let (lines, without_entry) = table.take();
+        assert_eq!((lines.len(), without_entry), (MAX_ENTRIES, others));
+        assert!(lines.iter().all(|line| line.events == 1), "no address has the events of others");
+        assert_eq!(at_once(20_000, &mut table), MAX_ENTRIES, "none keeps its entry before others");
     }
 
     #[tokio::test(start_paused = true)]

@@ -2,8 +2,8 @@
 //!
 //! mimalloc has a heap for each thread (Leijen, Zorn and de Moura, "Mimalloc: Free List Sharding in
 //! Action", 2019). Blocks that other threads free, and pages without a block, go back to the system
-//! when their thread allocates. The heap of a thread without work keeps them, however many there are.
-//! Threads return them when they are asked to, before they wait.
+//! when their thread allocates. The heap of a thread without work keeps them. Threads return them
+//! when they are asked to.
 
 use std::cell::Cell;
 use std::sync::OnceLock;
@@ -27,21 +27,21 @@ pub fn set_allocator(return_pages: fn()) {
     let _ = RETURN.set(return_pages);
 }
 
-/// Asks all threads to return their free pages. Each does so when it next calls
-/// [`return_if_requested`].
+/// Asks threads to return their free pages. Each does so when it next calls
+/// [`return_if_requested`]: those of generation, and the workers of the program's runtime.
 pub fn request_return() {
     REQUESTS.fetch_add(1, Ordering::Relaxed);
 }
 
-/// Returns the free pages of the calling thread if they were requested since its last call. Takes
-/// milliseconds then, and nanoseconds otherwise: for threads that are about to wait.
-pub fn return_if_requested() {
+/// Returns the free pages of the calling thread if they were requested since its last call, and
+/// whether it was. Takes milliseconds then, and nanoseconds otherwise.
+pub fn return_if_requested() -> bool {
     let requests = REQUESTS.load(Ordering::Relaxed);
-    if FOLLOWED.replace(requests) != requests
-        && let Some(return_pages) = RETURN.get()
-    {
+    let is_requested = FOLLOWED.replace(requests) != requests;
+    if is_requested && let Some(return_pages) = RETURN.get() {
         return_pages();
     }
+    is_requested
 }
 
 #[cfg(test)]

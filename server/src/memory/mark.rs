@@ -2,7 +2,8 @@
 //! begins, and open sessions receive no new views or chunks. The rest is for the data that they
 //! hold already.
 //!
-//! At the mark the caches are cleared first. The memory that many sessions hold together may still
+//! At the mark the caches are cleared first; if that is not the first time within seconds, sessions
+//! end too. The memory that many sessions hold together may still
 //! grow. If the memory stays beyond the mark, sessions end, few at a time; close to the limit, many:
 //! otherwise the system would end the process, and with it every session. Those of the sites that
 //! have the most end first.
@@ -194,12 +195,16 @@ pub async fn watch(
             }
         }
         let is_near = used >= limit.bytes() / 8 * READY_EIGHTHS;
-        reclaimer.look(is_near, mark.is_exceeded(), now, &*server);
+        let is_refilled = reclaimer.look(is_near, mark.is_exceeded(), now, &*server);
         if now >= room_at {
             mark.make_room(used, limit.bytes());
             room_at = now + ADMISSION;
         }
-        let count = sessions.shed(shedding.due(used, limit.bytes(), sessions.count(), now));
+        let open = sessions.count();
+        let due = shedding.due(used, limit.bytes(), open, now);
+        // Sessions that hold the memory below the mark must not keep the caches empty.
+        let refilled = if is_refilled { open.div_ceil(SHED.0) } else { 0 };
+        let count = sessions.shed(due.max(refilled));
         if count > 0 {
             let used_mib = used >> 20;
             tracing::warn!(used_mib, %limit, count, "memory is nearly used up: sessions end");

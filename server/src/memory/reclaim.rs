@@ -5,15 +5,23 @@ use super::heaps;
 use std::time::{Duration, Instant};
 use tokio::runtime::Handle;
 
-/// Longest time that an idle worker of the runtime is kept from the tasks of another.
+/// Time for which a worker of the runtime that has returned its pages leaves the next task to
+/// another one.
 const WAKE: Duration = Duration::from_millis(1);
 
 /// Time between two clears of the caches.
 const CLEAR_INTERVAL: Duration = Duration::from_secs(1);
 
-/// Time between two requests for free pages below the mark, where each takes the threads some
-/// milliseconds, and sessions fill the pages again.
-const RETURN_INTERVAL: Duration = Duration::from_secs(5);
+/// Caches that are cleared again within this time were not what filled the memory.
+const REFILL: Duration = Duration::from_secs(10);
+
+/// Time between two requests for free pages beyond the mark: of threads that return pages at once,
+/// mimalloc lets one give them to the system, and the others at their next request.
+const RETURN_INTERVAL: Duration = Duration::from_millis(250);
+
+/// The same below the mark, where each request takes the threads some milliseconds, and sessions
+/// fill the pages again.
+const EARLY_RETURN_INTERVAL: Duration = Duration::from_secs(5);
 
 /// A server with memory that it can do without.
 pub trait Reclaim: Send + Sync + 'static {
@@ -36,33 +44,51 @@ pub(super) struct Reclaimer {
 enum Due {
     Nothing,
     Pages,
-    CachesAndPages,
+    /// The caches too.
+    Caches {
+        /// Whether that was not long ago.
+        is_again: bool,
+    },
 }
 
 impl Reclaimer {
     /// Gives back what is due where the memory in use is above the lower share (`is_near`), or
-    /// beyond the mark too.
-    pub(super) fn look(&mut self, is_near: bool, is_exceeded: bool, now: Instant, server: &impl Reclaim) {
-        match self.due(is_near, is_exceeded, now) {
-            Due::Nothing => return,
+    /// beyond the mark too. Returns whether caches were cleared that had been cleared not long ago.
+    pub(super) fn look(
+        &mut self,
+        is_near: bool,
+        is_exceeded: bool,
+        now: Instant,
+        server: &impl Reclaim,
+    ) -> bool {
+        let due = self.due(is_near, is_exceeded, now);
+        match due {
+            Due::Nothing => return false,
             Due::Pages => {}
-            Due::CachesAndPages => server.clear_caches(),
+            Due::Caches { .. } => server.clear_caches(),
         }
         heaps::request_return();
         server.return_pages();
-        // A worker that waits looks at the request when it waits again. Each task takes one for a
-        // moment, so that no worker takes them all.
+        // A worker that waits does not see the request. Each worker sleeps once at most, so that
+        // none takes the tasks of all.
         for _ in 0..Handle::current().metrics().num_workers() {
-            tokio::spawn(async { std::thread::sleep(WAKE) });
+            tokio::spawn(async {
+                if heaps::return_if_requested() {
+                    std::thread::sleep(WAKE);
+                }
+            });
         }
+        due == Due::Caches { is_again: true }
     }
 
     fn due(&mut self, is_near: bool, is_exceeded: bool, now: Instant) -> Due {
         let is_after = |last: Option<Instant>, interval| last.is_none_or(|last| now >= last + interval);
+        let interval = if is_exceeded { RETURN_INTERVAL } else { EARLY_RETURN_INTERVAL };
         if is_exceeded && is_after(self.cleared, CLEAR_INTERVAL) {
+            let is_again = !is_after(self.cleared, REFILL);
             (self.cleared, self.returned) = (Some(now), Some(now));
-            Due::CachesAndPages
-        } else if is_near && is_after(self.returned, RETURN_INTERVAL) {
+            Due::Caches { is_again }
+        } else if is_near && is_after(self.returned, interval) {
             self.returned = Some(now);
             Due::Pages
         } else {
@@ -80,15 +106,19 @@ mod tests {
         let start = Instant::now();
         let mut reclaimer = Reclaimer::default();
         let mut due = |used, ms| reclaimer.due(used >= 500, used >= 600, start + Duration::from_millis(ms));
+        let (first, again) = (Due::Caches { is_again: false }, Due::Caches { is_again: true });
         assert_eq!(due(499, 0), Due::Nothing);
         assert_eq!(due(500, 0), Due::Pages);
         assert_eq!(due(599, 4999), Due::Nothing);
         assert_eq!(due(599, 5000), Due::Pages);
-        assert_eq!(due(600, 5025), Due::CachesAndPages, "the mark does not wait for the interval");
-        assert_eq!(due(700, 6024), Due::Nothing);
-        assert_eq!(due(700, 6025), Due::CachesAndPages);
+        assert_eq!(due(600, 5025), first, "the mark does not wait for the interval");
+        assert_eq!(due(700, 5250), Due::Nothing);
+        assert_eq!(due(700, 5275), Due::Pages);
+        assert_eq!(due(599, 6000), Due::Nothing);
+        assert_eq!(due(700, 6025), again);
         assert_eq!(due(599, 11_024), Due::Nothing);
         assert_eq!(due(599, 11_025), Due::Pages);
-        assert_eq!(due(600, 11_050), Due::CachesAndPages);
+        assert_eq!(due(600, 16_024), again);
+        assert_eq!(due(600, 26_024), first);
     }
 }

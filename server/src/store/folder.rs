@@ -21,8 +21,10 @@ use tokio::task::spawn_blocking;
 
 /// Calls that have not ended: more than a server or a bake has requests in flight. One more waits
 /// without a thread until its caller times out. A server counts that as a failure; after five in a
-/// row it stops reads, or writes, but for one in 5 s, until the folder answers.
-const CALLS: usize = 96;
+/// row it stops reads, or writes, but for one in 5 s, until the folder answers. Writes that hang
+/// must not take the permits of reads that do not.
+const READS: usize = 80;
+const WRITES: usize = 16;
 
 /// The objects of the whole file system, of which those below a folder are written while it exists.
 #[derive(Clone, Debug)]
@@ -30,30 +32,16 @@ pub struct Folder {
     files: LocalFileSystem,
     path: PathBuf,
     /// One permit per call that has not ended.
-    calls: Arc<Semaphore>,
+    reads: Arc<Semaphore>,
+    writes: Arc<Semaphore>,
 }
 
 impl Folder {
     /// The store of a folder. Nothing is looked for yet.
     #[must_use]
     pub fn new(path: PathBuf) -> Self {
-        Self { files: LocalFileSystem::new(), path, calls: Arc::new(Semaphore::new(CALLS)) }
-    }
-
-    /// Runs a call in a task of its own, which keeps its permit until the call ends, also if the
-    /// caller has timed out.
-    async fn call<T: Send + 'static>(
-        &self,
-        call: impl Future<Output = Result<T>> + Send + 'static,
-    ) -> Result<T> {
-        // Never none: the semaphore is not closed.
-        let permit = Arc::clone(&self.calls).acquire_owned().await.ok();
-        let running = tokio::spawn(async move {
-            let result = call.await;
-            drop(permit);
-            result
-        });
-        running.await?
+        let [reads, writes] = [READS, WRITES].map(|calls| Arc::new(Semaphore::new(calls)));
+        Self { files: LocalFileSystem::new(), path, reads, writes }
     }
 
     /// An error unless the folder exists.
@@ -67,6 +55,22 @@ impl Folder {
     }
 }
 
+/// Runs a call in a task of its own, which keeps its permit until the call ends, also if the caller
+/// has timed out.
+async fn run<T: Send + 'static>(
+    permits: &Arc<Semaphore>,
+    call: impl Future<Output = Result<T>> + Send + 'static,
+) -> Result<T> {
+    // Never none: the semaphore is not closed.
+    let permit = Arc::clone(permits).acquire_owned().await.ok();
+    let running = tokio::spawn(async move {
+        let result = call.await;
+        drop(permit);
+        result
+    });
+    running.await?
+}
+
 impl fmt::Display for Folder {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         self.files.fmt(f)
@@ -77,7 +81,7 @@ impl fmt::Display for Folder {
 impl ObjectStore for Folder {
     async fn put_opts(&self, path: &Path, bytes: PutPayload, options: PutOptions) -> Result<PutResult> {
         let (folder, path) = (self.clone(), path.clone());
-        self.call(async move {
+        run(&self.writes, async move {
             folder.exists().await?;
             folder.files.put_opts(&path, bytes, options).await
         })
@@ -90,7 +94,7 @@ impl ObjectStore for Folder {
         options: PutMultipartOptions,
     ) -> Result<Box<dyn MultipartUpload>> {
         let (folder, path) = (self.clone(), path.clone());
-        self.call(async move {
+        run(&self.writes, async move {
             folder.exists().await?;
             folder.files.put_multipart_opts(&path, options).await
         })
@@ -99,12 +103,12 @@ impl ObjectStore for Folder {
 
     async fn get_opts(&self, path: &Path, options: GetOptions) -> Result<GetResult> {
         let (folder, path) = (self.clone(), path.clone());
-        let found = self.call(async move { folder.files.get_opts(&path, options).await }).await?;
+        let found = run(&self.reads, async move { folder.files.get_opts(&path, options).await }).await?;
         let (meta, range) = (found.meta.clone(), found.range.clone());
         let (attributes, extensions) = (found.attributes.clone(), found.extensions.clone());
         // The file is read by a second call, if at all.
-        let folder = self.clone();
-        let bytes = stream::once(async move { folder.call(found.bytes()).await });
+        let reads = Arc::clone(&self.reads);
+        let bytes = stream::once(async move { run(&reads, found.bytes()).await });
         let payload = GetResultPayload::Stream(bytes.boxed());
         Ok(GetResult { payload, meta, range, attributes, extensions })
     }
@@ -116,7 +120,7 @@ impl ObjectStore for Folder {
     fn list(&self, prefix: Option<&Path>) -> BoxStream<'static, Result<ObjectMeta>> {
         let start = (self.clone(), self.files.list(prefix));
         stream::try_unfold(start, |(folder, mut objects)| async move {
-            let next = folder.call(async move {
+            let next = run(&folder.reads, async move {
                 let next = objects.try_next().await;
                 next.map(|next| (next, objects))
             });
@@ -128,12 +132,12 @@ impl ObjectStore for Folder {
 
     async fn list_with_delimiter(&self, prefix: Option<&Path>) -> Result<ListResult> {
         let (folder, prefix) = (self.clone(), prefix.cloned());
-        self.call(async move { folder.files.list_with_delimiter(prefix.as_ref()).await }).await
+        run(&self.reads, async move { folder.files.list_with_delimiter(prefix.as_ref()).await }).await
     }
 
     async fn copy_opts(&self, from: &Path, to: &Path, options: CopyOptions) -> Result<()> {
         let (folder, from, to) = (self.clone(), from.clone(), to.clone());
-        self.call(async move {
+        run(&self.writes, async move {
             folder.exists().await?;
             folder.files.copy_opts(&from, &to, options).await
         })
@@ -193,17 +197,14 @@ mod tests {
         let (file, pipe) = (path.join("file"), path.join("pipe"));
         std::fs::write(&file, "1").unwrap();
         assert!(std::process::Command::new("mkfifo").arg(&pipe).status().unwrap().success());
-        let folder = Folder { calls: Arc::new(Semaphore::new(1)), ..Folder::new(path.clone()) };
+        let folder = Folder { reads: Arc::new(Semaphore::new(1)), ..Folder::new(path.clone()) };
         let [whole, hung] = [&file, &pipe].map(|path| Path::from_absolute_path(path).unwrap());
-        let mut have_timed_out = Vec::new();
-        for object in [&hung, &whole] {
-            let read = timeout(Duration::from_millis(50), folder.get(object)).await;
-            have_timed_out.push(read.is_err());
-        }
+        let has_timed_out = timeout(Duration::from_millis(50), folder.get(&hung)).await.is_err();
+        let left = folder.reads.available_permits();
         // Before all checks: a runtime waits for its blocked threads.
         let writer = spawn_blocking(move || std::fs::File::options().write(true).open(pipe));
         let writer = writer.await.unwrap().unwrap();
-        assert_eq!(have_timed_out, [true, true]);
+        assert_eq!((has_timed_out, left), (true, 0));
         assert_eq!(folder.get(&whole).await.unwrap().bytes().await.unwrap(), "1");
         drop(writer);
         std::fs::remove_dir_all(&path).unwrap();

@@ -36,7 +36,7 @@ use quick_cache::sync::Cache;
 use region::BakedRegion;
 use std::io;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{RecvTimeoutError, sync_channel};
+use std::sync::mpsc::{RecvTimeoutError, TrySendError, sync_channel};
 use std::sync::{Arc, PoisonError, RwLock};
 use std::time::{Duration, Instant};
 use terrain::{Chunk, ChunkKey, WorldDigest};
@@ -206,10 +206,14 @@ impl Store {
         self.runtime.as_ref()?.spawn(async move {
             let read = reading.fetch(id, tile).await;
             drop(permit);
-            let _ = sender.try_send(read);
+            if let Err(TrySendError::Disconnected(Fetched::Invalid)) = sender.try_send(read) {
+                // Late, and the next reads of the tile do not find it.
+                reading.metrics.store.reads_invalid.inc();
+            }
         });
         let started = Instant::now();
-        let answer = answer.recv_timeout(wait);
+        // The receiver ends with its timeout.
+        let answer = { answer }.recv_timeout(wait);
         if matches!(answer, Ok(Fetched::Object(_) | Fetched::Invalid | Fetched::Missing)) {
             inner.pace.in_time();
         }

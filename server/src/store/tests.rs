@@ -384,7 +384,7 @@ async fn damaged_and_cut_packs_are_invalid_and_open_no_breaker() {
     let metrics = &replica.metrics;
     assert_eq!((metrics.generation.jobs_completed.get(), metrics.store.hits.get()), (8, 8));
     // Of each of the four packs one read is invalid; the four others look for an object of the
-    // chunk's own. Each read has one outcome.
+    // chunk's own. Each read in time has one outcome.
     assert_eq!((metrics.store.reads_invalid.get(), metrics.store.misses.get()), (4, 4));
     assert_eq!(metrics.store.reads_failed.get(), 0);
 }

@@ -65,9 +65,12 @@ async fn the_first_reason_of_an_end_stays_where_the_server_cuts_the_end_short() 
         } else {
             assert!(state.open_sessions.displace_for(other, Instant::now()));
         }
+        let cut = tokio::time::Instant::now();
         while state.metrics.sessions.open.get() > 1 {
             sleep(Duration::from_millis(1)).await;
         }
+        // Paused time: the server does not wait for the Close frame of the peer.
+        assert!(cut.elapsed() < Duration::from_secs(1));
         assert_eq!(state.metrics.sessions.ended_for("text_frame"), 1);
     }
 }

@@ -78,8 +78,8 @@ impl Selector {
         matches!(self.phase, Phase::Done)
     }
 
-    /// Examines at most `chunks` chunks (at least 1), or sorts the splits of one level. A measurement
-    /// of errors counts as 4,000 chunks. Returns whether the selection is done.
+    /// Examines at most `chunks` chunks (at least 1), and may also sort the splits of one level. A
+    /// measurement of errors counts as 4,000 chunks. Returns whether the selection is done.
     pub fn step(&mut self, chunks: usize) -> bool {
         let mut left = chunks.max(1);
         while left > 0 && !self.is_done() {
