@@ -36,8 +36,7 @@ fn gradient_noise(seed: u32, x: f32, z: f32) -> f32 {
 fn slope(seed: u32, cell_x: i32, cell_z: i32, x: f32, z: f32) -> f32 {
     const DIAGONAL: f32 = std::f32::consts::FRAC_1_SQRT_2;
     // The other four are opposite to these.
-    const DIRECTIONS: [(f32, f32); 4] =
-        [(1.0, 0.0), (DIAGONAL, DIAGONAL), (0.0, 1.0), (-DIAGONAL, DIAGONAL)];
+    const DIRECTIONS: [(f32, f32); 4] = [(1.0, 0.0), (DIAGONAL, DIAGONAL), (0.0, 1.0), (-DIAGONAL, DIAGONAL)];
     let mut hash = (cell_x as u32).wrapping_mul(0x9e37_79b1) ^ (cell_z as u32).wrapping_mul(0x85eb_ca77);
     hash = (hash ^ seed.wrapping_mul(0xc2b2_ae3d)).wrapping_mul(0x27d4_eb2f);
     let (along_x, along_z) = DIRECTIONS[((hash >> 29) & 3) as usize];
