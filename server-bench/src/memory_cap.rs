@@ -57,7 +57,8 @@ const SETTLE: Duration = Duration::from_secs(15);
 /// Different chunks: several times what the cache holds.
 const CHUNKS: usize = 128 * 1024;
 
-/// Runs the benchmark once, and with smaller limits twice more and as a control.
+/// Runs the benchmark once, with smaller limits twice more and as a control, and the clients of
+/// `mark` with the memory mark and without.
 pub async fn run(plan: &Plan) -> Result<Value> {
     let length = Duration::from_secs(plan.seconds) * LENGTH;
     let land = Land::new(WORLD_SEED);
@@ -70,6 +71,7 @@ pub async fn run(plan: &Plan) -> Result<Value> {
     let large = under(&plan.launch, SMALL_LIMIT, &LARGE_CACHE, short).await?;
     let control = under(&plan.launch, TINY_LIMIT, &[], short).await?;
     let mark = under(&plan.launch, mark::LIMIT, &[], unread).await?;
+    let without_mark = under(&plan.launch, mark::LIMIT, &mark::WITHOUT, unread).await?;
     Ok(json!({
         "clients": CLIENTS,
         "seconds": length.as_secs(),
@@ -80,6 +82,7 @@ pub async fn run(plan: &Plan) -> Result<Value> {
         "large_cache": large,
         "control": control,
         "mark": mark,
+        "without_mark": without_mark,
     }))
 }
 
@@ -220,6 +223,8 @@ pub fn bars(figures: &Value) -> Vec<Bar> {
         Bar::at_least("the same with 3 MiB: killed (control)", at(figures, "control/killed"), "", 1.0),
     ];
     rows.extend(mark::bars(figures.get("mark").unwrap_or(&Value::Null)));
+    let killed = at(figures, "without_mark/killed");
+    rows.push(Bar::at_least("192 MiB and these clients without the mark: killed (control)", killed, "", 1.0));
     rows
 }
 
@@ -251,6 +256,7 @@ mod tests {
             "large_cache": { "is_running": true, "killed": 0, "error": null },
             "control": { "killed": 1 },
             "mark": mark::tests::good(),
+            "without_mark": { "killed": 1 },
         });
         let bad = [
             ("/limited/killed", json!(1)),
@@ -264,6 +270,7 @@ mod tests {
             ("/large_cache/killed", json!(1)),
             ("/large_cache/error", json!("503")),
             ("/control/killed", json!(0)),
+            ("/without_mark/killed", json!(0)),
         ];
         check(bars, &good, &bad);
         let of_the_long_load = |figures: &Value| {

@@ -16,4 +16,6 @@ pub enum Mechanism {
     ViewTurns,
     /// The fast effort at level 0 under backlog. Without it, all chunks are encoded compactly.
     FastEffort,
+    /// The memory mark. Without it, the memory in use ends no session and rejects none.
+    MemoryMark,
 }

@@ -9,6 +9,7 @@ use crate::limits::peer_log::PeerLog;
 use crate::limits::per_ip::PerIpLimiter;
 use crate::limits::rate_limit::RateLimiter;
 use crate::map::Map;
+use crate::mechanism::Mechanism;
 use crate::memory::MemoryMark;
 use crate::memory::reclaim::Reclaim;
 use crate::metrics::Metrics;
@@ -107,6 +108,7 @@ impl ServerState {
                 .ok()
         });
         let generation = Generation::with_stores(source, limits, disk, store, Arc::clone(&metrics))?;
+        let memory = config.memory.clone().filter(|_| config.without != Some(Mechanism::MemoryMark));
         let peer_log = Arc::new(PeerLog::default());
         let gate = TokenGate::new(
             config.tokens.clone(),
@@ -124,7 +126,7 @@ impl ServerState {
                 config.threads,
                 Arc::clone(&metrics),
             ),
-            memory: Arc::new(MemoryMark::new(config.memory.clone())),
+            memory: Arc::new(MemoryMark::new(memory)),
             content_digests: ContentDigests::default(),
             open_sessions: OpenSessions::default(),
             stats: LiveStats::default(),

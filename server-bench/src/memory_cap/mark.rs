@@ -24,6 +24,9 @@ use tokio_util::either::Either;
 /// The limit, bytes: a server with the default settings is far below the mark without clients.
 pub const LIMIT: u64 = 192 * 1024 * 1024;
 
+/// The options of the control.
+pub const WITHOUT: [&str; 2] = ["--measure-without", "memory-mark"];
+
 /// Clients, fewer than the sessions that the server accepts by default, each with an own address.
 const CLIENTS: usize = 900;
 

@@ -3,10 +3,9 @@
 //! hold already.
 //!
 //! At the mark the caches are cleared first; if that is not the first time within seconds, sessions
-//! end too. The memory that many sessions hold together may still
-//! grow. If the memory stays beyond the mark, sessions end, few at a time; close to the limit, many:
-//! otherwise the system would end the process, and with it every session. Those of the sites that
-//! have the most end first.
+//! end too. The memory that many sessions hold together may still grow. If the memory stays beyond
+//! the mark, sessions end, few at a time; close to the limit, many: otherwise the system would end
+//! the process, and with it every session. Those of the sites that have the most end first.
 
 use super::limit::{MemoryLimit, OpenFiles};
 use super::reclaim::{Reclaim, Reclaimer};
@@ -134,19 +133,29 @@ impl MemoryMark {
     }
 }
 
-/// When sessions ended, or the memory came beyond the mark, and the memory in use then. None below
-/// the mark.
+/// When sessions end.
 #[derive(Debug, Default)]
 struct Shedding {
+    /// When sessions ended, or the memory came beyond the mark, and the memory in use then. None
+    /// below the mark.
     last: Option<(Instant, u64)>,
+    /// When sessions ended.
+    ended: Option<Instant>,
 }
 
 impl Shedding {
-    /// How many of the open sessions end now.
-    fn due(&mut self, used: u64, limit: u64, open: usize, now: Instant) -> usize {
+    /// How many of the open sessions end now. With `is_refilled` the caches, cleared not long ago,
+    /// have filled the memory again.
+    fn due(&mut self, used: u64, limit: u64, open: usize, is_refilled: bool, now: Instant) -> usize {
         if used < limit / 8 * MARK_EIGHTHS {
             self.last = None;
             return 0;
+        }
+        // Sessions that hold the memory below the mark must not keep the caches empty.
+        let (refill_divisor, refill_pause) = SHED;
+        if is_refilled && self.ended.is_none_or(|ended| now >= ended + refill_pause) {
+            (self.last, self.ended) = (Some((now, used)), Some(now));
+            return open.div_ceil(refill_divisor);
         }
         let (last, used_then) = *self.last.get_or_insert((now, used));
         // The allocator gives memory back late: what does not grow is not critical.
@@ -155,7 +164,7 @@ impl Shedding {
         if now < last + pause {
             return 0;
         }
-        self.last = Some((now, used));
+        (self.last, self.ended) = (Some((now, used)), Some(now));
         open.div_ceil(divisor)
     }
 }
@@ -200,11 +209,7 @@ pub async fn watch(
             mark.make_room(used, limit.bytes());
             room_at = now + ADMISSION;
         }
-        let open = sessions.count();
-        let due = shedding.due(used, limit.bytes(), open, now);
-        // Sessions that hold the memory below the mark must not keep the caches empty.
-        let refilled = if is_refilled { open.div_ceil(SHED.0) } else { 0 };
-        let count = sessions.shed(due.max(refilled));
+        let count = sessions.shed(shedding.due(used, limit.bytes(), sessions.count(), is_refilled, now));
         if count > 0 {
             let used_mib = used >> 20;
             tracing::warn!(used_mib, %limit, count, "memory is nearly used up: sessions end");
@@ -273,19 +278,36 @@ mod tests {
         let start = Instant::now();
         let mut shedding = Shedding::default();
         let at = |ms| start + Duration::from_millis(ms);
-        assert_eq!(shedding.due(600, 800, 100, at(0)), 0, "the mark was reached just now");
-        assert_eq!(shedding.due(600, 800, 100, at(1000)), 13);
-        assert_eq!(shedding.due(650, 800, 87, at(1500)), 0);
-        assert_eq!(shedding.due(700, 800, 87, at(1500)), 44);
-        assert_eq!(shedding.due(720, 800, 43, at(1550)), 0);
-        assert_eq!(shedding.due(720, 800, 43, at(1600)), 22);
-        assert_eq!(shedding.due(720, 800, 21, at(1700)), 0, "it does not grow");
-        assert_eq!(shedding.due(720, 800, 21, at(2600)), 3);
-        assert_eq!(shedding.due(730, 800, 0, at(2700)), 0);
+        assert_eq!(shedding.due(600, 800, 100, false, at(0)), 0, "the mark was reached just now");
+        assert_eq!(shedding.due(600, 800, 100, false, at(1000)), 13);
+        assert_eq!(shedding.due(650, 800, 87, false, at(1500)), 0);
+        assert_eq!(shedding.due(700, 800, 87, false, at(1500)), 44);
+        assert_eq!(shedding.due(720, 800, 43, false, at(1550)), 0);
+        assert_eq!(shedding.due(720, 800, 43, false, at(1600)), 22);
+        assert_eq!(shedding.due(720, 800, 21, false, at(1700)), 0, "it does not grow");
+        assert_eq!(shedding.due(720, 800, 21, false, at(2600)), 3);
+        assert_eq!(shedding.due(730, 800, 0, false, at(2700)), 0);
         // The server is not ready between: this is above the lower share.
-        assert_eq!(shedding.due(599, 800, 18, at(9000)), 0, "below the mark");
-        assert_eq!(shedding.due(760, 800, 18, at(9100)), 0, "it was exceeded again just now");
-        assert_eq!(shedding.due(760, 800, 18, at(10_099)), 0);
-        assert_eq!(shedding.due(760, 800, 18, at(10_100)), 3);
+        assert_eq!(shedding.due(599, 800, 18, false, at(9000)), 0, "below the mark");
+        assert_eq!(shedding.due(760, 800, 18, false, at(9100)), 0, "it was exceeded again just now");
+        assert_eq!(shedding.due(760, 800, 18, false, at(10_099)), 0);
+        assert_eq!(shedding.due(760, 800, 18, false, at(10_100)), 3);
+    }
+    #[test]
+    fn sessions_end_once_a_second_where_the_caches_fill_the_memory_again() {
+        let start = Instant::now();
+        let mut shedding = Shedding::default();
+        let mut due = |used, is_refilled, ms| {
+            shedding.due(used, 800, 80, is_refilled, start + Duration::from_millis(ms))
+        };
+        assert_eq!(due(600, true, 0), 10, "at once");
+        assert_eq!(due(600, false, 999), 0);
+        assert_eq!(due(600, true, 999), 0, "sessions ended within the second");
+        assert_eq!(due(600, false, 1000), 10);
+        assert_eq!(due(599, true, 2100), 0, "below the mark");
+        assert_eq!(due(600, false, 2200), 0, "it was exceeded again just now");
+        assert_eq!(due(600, true, 2300), 10, "the caches do not wait for that");
+        assert_eq!(due(600, false, 3200), 0, "sessions ended within the second");
+        assert_eq!(due(600, false, 3300), 10);
     }
 }
