@@ -2,7 +2,6 @@
 //! page.
 
 use protocol::message::{ClientMessage, Hello};
-use protocol::view::View;
 use protocol::{CloseCode, Delivery, chunk_codec, control, limits};
 use terrain::constants::CELLS;
 use terrain::{ChunkKey, Land};
@@ -46,18 +45,7 @@ fn sizes_of_frames_are_those_of_the_code() {
 
 #[test]
 fn a_view_has_as_many_bytes_as_the_page_says() {
-    let view = View {
-        id: 1,
-        eye: [0; 3],
-        velocity: [0; 3],
-        yaw_mdeg: 0,
-        pitch_mdeg: 0,
-        fov_mdeg: 60_000,
-        viewport: [1, 1],
-        tolerance_q4: 16,
-        distance_m: 100,
-    };
-    let bytes = control::encode(&ClientMessage::View(view)).unwrap().len();
+    let bytes = control::encode(&ClientMessage::View(test_support::view(1, 100))).unwrap().len();
     states(&format!("{} bytes after the variant index", bytes - CONTROL_PREFIX));
     // The control: the prefix is that of another message, too.
     let hello = Hello { digest: None, delivery: Delivery::Exact, token: None, software: String::new() };

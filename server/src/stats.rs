@@ -256,20 +256,6 @@ mod tests {
         }
     }
 
-    fn view(x_m: i32, z_m: i32, yaw_mdeg: i32) -> View {
-        View {
-            id: 1,
-            eye: [x_m * 256, 0, z_m * 256],
-            velocity: [0; 3],
-            yaw_mdeg,
-            pitch_mdeg: 0,
-            fov_mdeg: 60_000,
-            viewport: [640, 360],
-            tolerance_q4: 16,
-            distance_m: 100,
-        }
-    }
-
     #[test]
     fn rates_and_quantiles_cover_the_time_between_two_snapshots() {
         let fixture = Fixture::new();
@@ -309,7 +295,8 @@ mod tests {
     fn a_session_is_listed_with_its_position_until_it_ends() {
         let fixture = Fixture::new();
         let (near, far) = (fixture.sessions.register(1, None), fixture.sessions.register(2, None));
-        far.set_view(&view(-4_000_000, 250, -90_000));
+        let eye = [-4_000_000 * 256, 0, 250 * 256];
+        far.set_view(&View { eye, yaw_mdeg: -90_000, ..test_support::view(1, 100) });
         let sessions = &fixture.at(0)["sessions"]["listed"];
         assert_eq!(sessions[0]["view"], Value::Null);
         let position = &sessions[1]["view"];

@@ -5,6 +5,7 @@ use protocol::client::{ClientConfig, ClientSession, Event};
 use protocol::view::View;
 use protocol::{DataFrame, Delivery, SUBPROTOCOL};
 use std::time::Duration;
+pub use test_support::view;
 use tokio::net::TcpStream;
 use tokio_tungstenite::tungstenite::client::IntoClientRequest;
 use tokio_tungstenite::tungstenite::protocol::CloseFrame;
@@ -140,21 +141,5 @@ impl TestClient {
                 return events;
             }
         }
-    }
-}
-
-/// A northward view over the home island.
-#[must_use]
-pub fn view(id: u32, distance_m: u32) -> View {
-    View {
-        id,
-        eye: [0, 60 * 256, 0],
-        velocity: [0; 3],
-        yaw_mdeg: 0,
-        pitch_mdeg: 0,
-        fov_mdeg: 60_000,
-        viewport: [640, 360],
-        tolerance_q4: 64,
-        distance_m,
     }
 }

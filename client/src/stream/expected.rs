@@ -121,17 +121,7 @@ mod tests {
     use terrain::{Land, lod};
 
     fn view(id: u32, east_m: i32, distance_m: u32) -> View {
-        View {
-            id,
-            eye: [east_m * 256, 100 * 256, 0],
-            velocity: [0; 3],
-            yaw_mdeg: 0,
-            pitch_mdeg: 0,
-            fov_mdeg: 60_000,
-            viewport: [640, 360],
-            tolerance_q4: 16,
-            distance_m,
-        }
+        View { eye: [east_m * 256, 100 * 256, 0], tolerance_q4: 16, ..test_support::view(id, distance_m) }
     }
 
     #[test]

@@ -363,18 +363,7 @@ mod tests {
     #[test]
     fn only_a_refusal_of_the_latest_view_is_reported() {
         let (mut session, mut trust) = (session(), Trust::default());
-        let view = |id| View {
-            id,
-            eye: [0; 3],
-            velocity: [0; 3],
-            yaw_mdeg: 0,
-            pitch_mdeg: 0,
-            fov_mdeg: 60_000,
-            viewport: [640, 360],
-            tolerance_q4: 32,
-            distance_m: 2000,
-        };
-        [1, 2].into_iter().for_each(|id| session.set_view(view(id)));
+        [1, 2].into_iter().for_each(|id| session.set_view(test_support::view(id, 2000)));
         let mut is_reported = |id| {
             let refused = Refused { id, key: None, reason: RefusalReason::Failed, detail: "no room".into() };
             let received = session.refused(&refused, &mut trust, NOW).unwrap();

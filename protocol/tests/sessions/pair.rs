@@ -34,17 +34,7 @@ pub fn config(window: u32) -> ClientConfig {
 }
 
 pub fn view(id: u32, distance_m: u32) -> View {
-    View {
-        id,
-        eye: [0, 25_600, 0],
-        velocity: [0; 3],
-        yaw_mdeg: 0,
-        pitch_mdeg: 0,
-        fov_mdeg: 60_000,
-        viewport: [640, 360],
-        tolerance_q4: 64,
-        distance_m,
-    }
+    View { eye: [0, 25_600, 0], ..test_support::view(id, distance_m) }
 }
 
 impl Pair {

@@ -92,18 +92,9 @@ impl Client {
     pub fn look(&mut self, random: &mut Random) {
         let mut metres = || (random.within(-RANGE_M..RANGE_M) * 256) as i32;
         let eye = [metres(), 60 * 256, metres()];
-        let view = View {
-            id: self.next_view,
-            eye,
-            velocity: [0; 3],
-            yaw_mdeg: random.within(0..360_000) as i32,
-            pitch_mdeg: 0,
-            fov_mdeg: 60_000,
-            viewport: [640, 360],
-            tolerance_q4: 128,
-            distance_m: random.within(100..400) as u32,
-        };
-        self.send_view(view);
+        let yaw_mdeg = random.within(0..360_000) as i32;
+        let view = test_support::view(self.next_view, random.within(100..400) as u32);
+        self.send_view(View { eye, yaw_mdeg, tolerance_q4: 128, ..view });
     }
 
     /// Sends the present view again, with a new id.

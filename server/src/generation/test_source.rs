@@ -59,17 +59,7 @@ pub fn view_selection(id: u32) -> ViewSelection {
     let offer = ServerOffer { land, digest: land.digest(), token: None, software: String::new() };
     let mut session = ServerSession::new(offer, 1);
     let hello = Hello { digest: None, delivery: Delivery::Exact, token: None, software: String::new() };
-    let view = View {
-        id,
-        eye: [0; 3],
-        velocity: [0; 3],
-        yaw_mdeg: 0,
-        pitch_mdeg: 0,
-        fov_mdeg: 60_000,
-        viewport: [640, 360],
-        tolerance_q4: 16,
-        distance_m: 500,
-    };
+    let view = View { eye: [0; 3], tolerance_q4: 16, ..test_support::view(id, 500) };
     for message in [ClientMessage::Hello(hello), ClientMessage::View(view)] {
         let frame = protocol::control::encode(&message).unwrap();
         session.receive(protocol::DataFrame::Binary(&frame)).unwrap();

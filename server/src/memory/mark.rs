@@ -2,10 +2,11 @@
 //! begins, and open sessions receive no new views or chunks. The rest is for the data that they
 //! hold already.
 //!
-//! At the mark the caches are cleared first; if that is not the first time within seconds, sessions
-//! end too. The memory that many sessions hold together may still grow. If the memory stays beyond
-//! the mark, sessions end, few at a time; close to the limit, many: otherwise the system would end
-//! the process, and with it every session. Those of the sites that have the most end first.
+//! Where few sessions have room below the mark, the caches are cleared; if that was done within
+//! seconds and did not help, sessions end too. The memory that many sessions hold together may still grow.
+//! If the memory stays beyond the mark, sessions end, few at a time; close to the limit, many:
+//! otherwise the system would end the process, and with it every session. Those of the sites that
+//! have the most end first.
 
 use super::limit::{MemoryLimit, OpenFiles};
 use super::reclaim::{Reclaim, Reclaimer};
@@ -34,6 +35,10 @@ const INTERVAL: Duration = Duration::from_millis(25);
 
 /// Memory that a session may take before the server notices.
 const SESSION_BYTES: u64 = 2 << 20;
+
+/// Sessions that have room below the mark, whatever the caches hold: with less room the caches are
+/// cleared. With a small limit fewer, a sixteenth of it.
+const LEAST_ROOM: u64 = 4;
 
 /// The time in which as many sessions begin as have room below the mark.
 const ADMISSION: Duration = Duration::from_millis(250);
@@ -111,10 +116,9 @@ impl MemoryMark {
 
     /// Makes room for the sessions of the next [`ADMISSION`].
     fn make_room(&self, used: u64, limit: u64) {
-        let left = (limit / 8 * MARK_EIGHTHS).saturating_sub(used) / SESSION_BYTES;
         let mut room = self.room();
         room.taken.clear();
-        room.left = left;
+        room.left = room_below(used, limit);
     }
 
     fn room(&self) -> MutexGuard<'_, Room> {
@@ -133,6 +137,16 @@ impl MemoryMark {
     }
 }
 
+/// Sessions that have room below the mark.
+fn room_below(used: u64, limit: u64) -> u64 {
+    (limit / 8 * MARK_EIGHTHS).saturating_sub(used) / SESSION_BYTES
+}
+
+/// Whether the caches hold what sessions need to begin.
+fn lacks_room(used: u64, limit: u64) -> bool {
+    room_below(used, limit) < (limit / 16 / SESSION_BYTES).clamp(1, LEAST_ROOM)
+}
+
 /// When sessions end.
 #[derive(Debug, Default)]
 struct Shedding {
@@ -144,18 +158,18 @@ struct Shedding {
 }
 
 impl Shedding {
-    /// How many of the open sessions end now. With `is_refilled` the caches, cleared not long ago,
-    /// have filled the memory again.
+    /// How many of the open sessions end now. With `is_refilled` the caches were cleared, not long
+    /// after the last time, which did not help.
     fn due(&mut self, used: u64, limit: u64, open: usize, is_refilled: bool, now: Instant) -> usize {
-        if used < limit / 8 * MARK_EIGHTHS {
-            self.last = None;
-            return 0;
-        }
         // Sessions that hold the memory below the mark must not keep the caches empty.
         let (refill_divisor, refill_pause) = SHED;
         if is_refilled && self.ended.is_none_or(|ended| now >= ended + refill_pause) {
             (self.last, self.ended) = (Some((now, used)), Some(now));
             return open.div_ceil(refill_divisor);
+        }
+        if used < limit / 8 * MARK_EIGHTHS {
+            self.last = None;
+            return 0;
         }
         let (last, used_then) = *self.last.get_or_insert((now, used));
         // The allocator gives memory back late: what does not grow is not critical.
@@ -204,7 +218,7 @@ pub async fn watch(
             }
         }
         let is_near = used >= limit.bytes() / 8 * READY_EIGHTHS;
-        let is_refilled = reclaimer.look(is_near, mark.is_exceeded(), now, &*server);
+        let is_refilled = reclaimer.look(is_near, lacks_room(used, limit.bytes()), now, &*server);
         if now >= room_at {
             mark.make_room(used, limit.bytes());
             room_at = now + ADMISSION;
@@ -251,6 +265,15 @@ mod tests {
         mark.make_room(0, 800 << 20);
         mark.record(700, 800);
         assert_eq!(admitted(&mark), 0);
+    }
+
+    #[test]
+    fn caches_leave_room_for_four_sessions_or_a_sixteenth_of_the_limit() {
+        const MIB: u64 = 1 << 20;
+        for (limit, most) in [(800, 592), (128, 88), (64, 44), (16, 10)] {
+            assert!(!lacks_room(most * MIB, limit * MIB), "{limit} MiB");
+            assert!(lacks_room(most * MIB + 1, limit * MIB), "{limit} MiB");
+        }
     }
 
     #[test]
@@ -304,9 +327,9 @@ mod tests {
         assert_eq!(due(600, false, 999), 0);
         assert_eq!(due(600, true, 999), 0, "sessions ended within the second");
         assert_eq!(due(600, false, 1000), 10);
-        assert_eq!(due(599, true, 2100), 0, "below the mark");
+        assert_eq!(due(599, false, 2100), 0, "below the mark");
         assert_eq!(due(600, false, 2200), 0, "it was exceeded again just now");
-        assert_eq!(due(600, true, 2300), 10, "the caches do not wait for that");
+        assert_eq!(due(590, true, 2300), 10, "nor do the caches wait for the mark");
         assert_eq!(due(600, false, 3200), 0, "sessions ended within the second");
         assert_eq!(due(600, false, 3300), 10);
     }

@@ -1,5 +1,5 @@
-//! What a server gives back where memory lacks: the caches at the memory mark, and from the lower
-//! share on the free pages of its threads.
+//! What a server gives back where memory lacks: the caches where sessions have no room below the
+//! memory mark, and from the lower share on the free pages of its threads.
 
 use super::heaps;
 use std::time::{Duration, Instant};
@@ -12,15 +12,16 @@ const WAKE: Duration = Duration::from_millis(1);
 /// Time between two clears of the caches.
 const CLEAR_INTERVAL: Duration = Duration::from_secs(1);
 
-/// Caches that are cleared again within this time were not what filled the memory.
+/// Caches that are cleared again within this time were not what filled the memory, unless less was in
+/// use between.
 const REFILL: Duration = Duration::from_secs(10);
 
-/// Time between two requests for free pages beyond the mark: of threads that return pages at once,
-/// mimalloc lets one give them to the system, and the others at their next request.
+/// Time between two requests for free pages where sessions have no room: of threads that return
+/// pages at once, mimalloc lets one give them to the system, and the others at their next request.
 const RETURN_INTERVAL: Duration = Duration::from_millis(250);
 
-/// The same below the mark, where each request takes the threads some milliseconds, and sessions
-/// fill the pages again.
+/// The same where they have room: each request takes the threads some milliseconds, and sessions fill
+/// the pages again.
 const EARLY_RETURN_INTERVAL: Duration = Duration::from_secs(5);
 
 /// A server with memory that it can do without.
@@ -37,6 +38,8 @@ pub trait Reclaim: Send + Sync + 'static {
 pub(super) struct Reclaimer {
     cleared: Option<Instant>,
     returned: Option<Instant>,
+    /// Whether the memory was above the lower share ever since the caches were cleared.
+    stayed: bool,
 }
 
 /// What is given back.
@@ -46,22 +49,23 @@ enum Due {
     Pages,
     /// The caches too.
     Caches {
-        /// Whether that was not long ago.
+        /// Whether that happened not long ago, and the memory has stayed above the lower share.
         is_again: bool,
     },
 }
 
 impl Reclaimer {
     /// Gives back what is due where the memory in use is above the lower share (`is_near`), or
-    /// beyond the mark too. Returns whether caches were cleared that had been cleared not long ago.
+    /// sessions have no room below the mark. Returns whether caches were cleared that had been cleared
+    /// not long ago, which did not help.
     pub(super) fn look(
         &mut self,
         is_near: bool,
-        is_exceeded: bool,
+        lacks_room: bool,
         now: Instant,
         server: &impl Reclaim,
     ) -> bool {
-        let due = self.due(is_near, is_exceeded, now);
+        let due = self.due(is_near, lacks_room, now);
         match due {
             Due::Nothing => return false,
             Due::Pages => {}
@@ -81,12 +85,13 @@ impl Reclaimer {
         due == Due::Caches { is_again: true }
     }
 
-    fn due(&mut self, is_near: bool, is_exceeded: bool, now: Instant) -> Due {
+    fn due(&mut self, is_near: bool, lacks_room: bool, now: Instant) -> Due {
+        self.stayed &= is_near;
         let is_after = |last: Option<Instant>, interval| last.is_none_or(|last| now >= last + interval);
-        let interval = if is_exceeded { RETURN_INTERVAL } else { EARLY_RETURN_INTERVAL };
-        if is_exceeded && is_after(self.cleared, CLEAR_INTERVAL) {
-            let is_again = !is_after(self.cleared, REFILL);
-            (self.cleared, self.returned) = (Some(now), Some(now));
+        let interval = if lacks_room { RETURN_INTERVAL } else { EARLY_RETURN_INTERVAL };
+        if lacks_room && is_after(self.cleared, CLEAR_INTERVAL) {
+            let is_again = self.stayed && !is_after(self.cleared, REFILL);
+            *self = Self { cleared: Some(now), returned: Some(now), stayed: is_near };
             Due::Caches { is_again }
         } else if is_near && is_after(self.returned, interval) {
             self.returned = Some(now);
@@ -102,7 +107,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn caches_are_cleared_at_the_mark_and_pages_returned_from_the_lower_share_on() {
+    fn caches_are_cleared_where_room_lacks_and_pages_returned_from_the_lower_share_on() {
         let start = Instant::now();
         let mut reclaimer = Reclaimer::default();
         let mut due = |used, ms| reclaimer.due(used >= 500, used >= 600, start + Duration::from_millis(ms));
@@ -111,7 +116,7 @@ mod tests {
         assert_eq!(due(500, 0), Due::Pages);
         assert_eq!(due(599, 4999), Due::Nothing);
         assert_eq!(due(599, 5000), Due::Pages);
-        assert_eq!(due(600, 5025), first, "the mark does not wait for the interval");
+        assert_eq!(due(600, 5025), first, "what lacks room does not wait for the interval");
         assert_eq!(due(700, 5250), Due::Nothing);
         assert_eq!(due(700, 5275), Due::Pages);
         assert_eq!(due(599, 6000), Due::Nothing);
@@ -120,5 +125,8 @@ mod tests {
         assert_eq!(due(599, 11_025), Due::Pages);
         assert_eq!(due(600, 16_024), again);
         assert_eq!(due(600, 26_024), first);
+        assert_eq!(due(499, 26_100), Due::Nothing);
+        assert_eq!(due(600, 27_024), first, "the caches were what had filled the memory");
+        assert_eq!(due(600, 28_024), again);
     }
 }

@@ -82,15 +82,12 @@ impl MovingClient {
         };
         let mut session = ClientSession::new(config);
         let mut view = View {
-            id: 1,
             eye: [x_m * 256, 150 * 256, z_m * 256],
-            velocity: [0; 3],
             yaw_mdeg,
             pitch_mdeg: -5000,
-            fov_mdeg: 60_000,
             viewport: [1280, 720],
             tolerance_q4: 32,
-            distance_m: 2500,
+            ..test_support::view(1, 2500)
         };
         let Some(Event::Welcome(welcome)) = step(&mut socket, &mut session).await else {
             panic!("no welcome")

@@ -2,12 +2,13 @@
 
 use crate::client::Server;
 use server::ServerConfig;
+use server::mechanism::Mechanism;
 use server::memory::MemoryLimit;
 
-/// A server that may use so many bytes.
-async fn server_with(bytes: u64) -> Server {
+/// A server that may use `bytes` bytes.
+async fn server_with(bytes: u64, without: Option<Mechanism>) -> Server {
     let memory = Some(MemoryLimit::of_machine(bytes));
-    Server::start_with(ServerConfig { threads: 1, memory, ..ServerConfig::default() }).await
+    Server::start_with(ServerConfig { threads: 1, memory, without, ..ServerConfig::default() }).await
 }
 
 #[cfg(target_os = "linux")]
@@ -42,7 +43,7 @@ async fn beyond_the_mark_open_sessions_end_the_newest_first() {
 #[tokio::test]
 async fn beyond_the_mark_no_session_begins_and_the_server_is_not_ready() {
     // Less than this process has.
-    let full = server_with(1 << 20).await;
+    let full = server_with(1 << 20, None).await;
     while full.metric("tombolo_memory_used_bytes").await == 0.0 {
         tokio::task::yield_now().await;
     }
@@ -56,7 +57,12 @@ async fn beyond_the_mark_no_session_begins_and_the_server_is_not_ready() {
     assert_eq!(full.get(&full.path("chunk/0/0/0")).await.status, 200, "who is connected is served");
     full.stop().await;
 
-    let free = server_with(1 << 40).await;
+    let unlimited = server_with(1 << 20, Some(Mechanism::MemoryMark)).await;
+    assert_eq!(unlimited.upgrade(&[]).await.status, 101);
+    assert_eq!(unlimited.get("/readyz").await.status, 200);
+    unlimited.stop().await;
+
+    let free = server_with(1 << 40, None).await;
     while free.metric("tombolo_memory_used_bytes").await == 0.0 {
         tokio::task::yield_now().await;
     }

@@ -26,17 +26,8 @@ async fn a_session_is_listed_with_position_and_counts_only() {
         window: 64,
     };
     let mut session = ClientSession::new(config);
-    session.set_view(View {
-        id: 1,
-        eye: [-1500 * 256, 90 * 256, 700 * 256],
-        velocity: [0; 3],
-        yaw_mdeg: 450_000,
-        pitch_mdeg: 0,
-        fov_mdeg: 60_000,
-        viewport: [640, 360],
-        tolerance_q4: 64,
-        distance_m: 600,
-    });
+    let eye = [-1500 * 256, 90 * 256, 700 * 256];
+    session.set_view(View { eye, yaw_mdeg: 450_000, ..test_support::view(1, 600) });
     let settle = async {
         let (mut chunks, mut settled) = (0u64, false);
         while !settled {

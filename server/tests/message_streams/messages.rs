@@ -70,17 +70,8 @@ impl Generator {
     /// A quarter of the views are the most expensive that a server accepts.
     fn view(&mut self, id: u32) -> View {
         if self.random.below(4) == 0 {
-            return View {
-                id,
-                eye: [0, 60 * 256, 0],
-                velocity: [i32::MAX; 3],
-                yaw_mdeg: 0,
-                pitch_mdeg: 0,
-                fov_mdeg: 60_000,
-                viewport: [MAX_VIEWPORT; 2],
-                tolerance_q4: 16,
-                distance_m: 8192,
-            };
+            let (velocity, viewport) = ([i32::MAX; 3], [MAX_VIEWPORT; 2]);
+            return View { velocity, viewport, tolerance_q4: 16, ..test_support::view(id, 8192) };
         }
         let place = |any: u64| (any as i32) % WORLD_HALF;
         View {

@@ -20,17 +20,7 @@ pub const PONG: u8 = 10;
 
 /// A view of 1 km from the start of the coordinates.
 pub fn view(id: u32) -> View {
-    View {
-        id,
-        eye: [0, 60 * 256, 0],
-        velocity: [0; 3],
-        yaw_mdeg: 0,
-        pitch_mdeg: 0,
-        fov_mdeg: 60_000,
-        viewport: [640, 360],
-        tolerance_q4: 16,
-        distance_m: 1000,
-    }
+    View { tolerance_q4: 16, ..test_support::view(id, 1000) }
 }
 
 pub struct Peer {
