@@ -9,7 +9,7 @@
 //! have the most end first.
 
 use super::limit::{MemoryLimit, OpenFiles};
-use super::reclaim::{Reclaim, Reclaimer};
+use super::reclaim::{Pressure, Reclaim, Reclaimer};
 use crate::limits::networks::client_site;
 use crate::metrics::Metrics;
 use crate::open_sessions::OpenSessions;
@@ -126,6 +126,19 @@ impl MemoryMark {
         self.room.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
+    /// How scarce memory is.
+    fn pressure(&self, used: u64, limit: u64) -> Pressure {
+        if room_below(used, limit) < (limit / 16 / SESSION_BYTES).clamp(1, LEAST_ROOM) {
+            Pressure::NoRoom
+        } else if used < limit / 8 * READY_EIGHTHS {
+            Pressure::Low
+        } else if self.is_reached() {
+            Pressure::Unready
+        } else {
+            Pressure::Near
+        }
+    }
+
     /// Records the memory in use, bytes; true if that changes whether the server is ready.
     fn record(&self, used: u64, limit: u64) -> bool {
         let was_reached = self.is_reached();
@@ -140,11 +153,6 @@ impl MemoryMark {
 /// Sessions that have room below the mark.
 fn room_below(used: u64, limit: u64) -> u64 {
     (limit / 8 * MARK_EIGHTHS).saturating_sub(used) / SESSION_BYTES
-}
-
-/// Whether the caches hold what sessions need to begin.
-fn lacks_room(used: u64, limit: u64) -> bool {
-    room_below(used, limit) < (limit / 16 / SESSION_BYTES).clamp(1, LEAST_ROOM)
 }
 
 /// When sessions end.
@@ -217,8 +225,7 @@ pub async fn watch(
                 tracing::info!(used_mib, %limit, "memory is free again");
             }
         }
-        let is_near = used >= limit.bytes() / 8 * READY_EIGHTHS;
-        let is_refilled = reclaimer.look(is_near, lacks_room(used, limit.bytes()), now, &*server);
+        let is_refilled = reclaimer.look(mark.pressure(used, limit.bytes()), now, &*server);
         if now >= room_at {
             mark.make_room(used, limit.bytes());
             room_at = now + ADMISSION;
@@ -268,12 +275,19 @@ mod tests {
     }
 
     #[test]
-    fn caches_leave_room_for_four_sessions_or_a_sixteenth_of_the_limit() {
+    fn room_lacks_below_four_sessions_or_a_sixteenth_of_the_limit() {
+        use Pressure::{Low, Near, NoRoom, Unready};
         const MIB: u64 = 1 << 20;
+        let mark = MemoryMark::new(None);
         for (limit, most) in [(800, 592), (128, 88), (64, 44), (16, 10)] {
-            assert!(!lacks_room(most * MIB, limit * MIB), "{limit} MiB");
-            assert!(lacks_room(most * MIB + 1, limit * MIB), "{limit} MiB");
+            assert_ne!(mark.pressure(most * MIB, limit * MIB), NoRoom, "{limit} MiB");
+            assert_eq!(mark.pressure(most * MIB + 1, limit * MIB), NoRoom, "{limit} MiB");
         }
+        let pressures = [499, 500, 600, 500, 499, 500].map(|used| {
+            mark.record(used * MIB, 800 * MIB);
+            mark.pressure(used * MIB, 800 * MIB)
+        });
+        assert_eq!(pressures, [Low, Near, NoRoom, Unready, Low, Near]);
     }
 
     #[test]

@@ -1,5 +1,5 @@
-//! What a server gives back where memory lacks: the caches where sessions have no room below the
-//! memory mark, and from the lower share on the free pages of its threads.
+//! What a server gives back where memory lacks: the caches where few sessions have room below the
+//! memory mark, or the server is not ready, and from the lower share on the free pages of its threads.
 
 use super::heaps;
 use std::time::{Duration, Instant};
@@ -33,6 +33,19 @@ pub trait Reclaim: Send + Sync + 'static {
     fn return_pages(&self);
 }
 
+/// How scarce memory is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Pressure {
+    /// The memory in use is below the lower share.
+    Low,
+    /// It is above the lower share.
+    Near,
+    /// The same, and the mark was reached: the server is not ready.
+    Unready,
+    /// Few sessions have room below the mark.
+    NoRoom,
+}
+
 /// When memory is given back.
 #[derive(Debug, Default)]
 pub(super) struct Reclaimer {
@@ -55,17 +68,10 @@ enum Due {
 }
 
 impl Reclaimer {
-    /// Gives back what is due where the memory in use is above the lower share (`is_near`), or
-    /// sessions have no room below the mark. Returns whether caches were cleared that had been cleared
-    /// not long ago, which did not help.
-    pub(super) fn look(
-        &mut self,
-        is_near: bool,
-        lacks_room: bool,
-        now: Instant,
-        server: &impl Reclaim,
-    ) -> bool {
-        let due = self.due(is_near, lacks_room, now);
+    /// Gives back what is due. Returns whether caches were cleared that had been cleared not long ago,
+    /// which did not help.
+    pub(super) fn look(&mut self, pressure: Pressure, now: Instant, server: &impl Reclaim) -> bool {
+        let due = self.due(pressure, now);
         match due {
             Due::Nothing => return false,
             Due::Pages => {}
@@ -85,15 +91,23 @@ impl Reclaimer {
         due == Due::Caches { is_again: true }
     }
 
-    fn due(&mut self, is_near: bool, lacks_room: bool, now: Instant) -> Due {
-        self.stayed &= is_near;
+    fn due(&mut self, pressure: Pressure, now: Instant) -> Due {
+        let (clear_interval, return_interval) = match pressure {
+            Pressure::Low => {
+                self.stayed = false;
+                return Due::Nothing;
+            }
+            Pressure::Near => (None, EARLY_RETURN_INTERVAL),
+            // Seldom: sessions may hold the memory, and caches are worth something in this time.
+            Pressure::Unready => (Some(REFILL), EARLY_RETURN_INTERVAL),
+            Pressure::NoRoom => (Some(CLEAR_INTERVAL), RETURN_INTERVAL),
+        };
         let is_after = |last: Option<Instant>, interval| last.is_none_or(|last| now >= last + interval);
-        let interval = if lacks_room { RETURN_INTERVAL } else { EARLY_RETURN_INTERVAL };
-        if lacks_room && is_after(self.cleared, CLEAR_INTERVAL) {
+        if clear_interval.is_some_and(|interval| is_after(self.cleared, interval)) {
             let is_again = self.stayed && !is_after(self.cleared, REFILL);
-            *self = Self { cleared: Some(now), returned: Some(now), stayed: is_near };
+            *self = Self { cleared: Some(now), returned: Some(now), stayed: true };
             Due::Caches { is_again }
-        } else if is_near && is_after(self.returned, interval) {
+        } else if is_after(self.returned, return_interval) {
             self.returned = Some(now);
             Due::Pages
         } else {
@@ -108,25 +122,29 @@ mod tests {
 
     #[test]
     fn caches_are_cleared_where_room_lacks_and_pages_returned_from_the_lower_share_on() {
+        use Pressure::{Low, Near, NoRoom, Unready};
         let start = Instant::now();
         let mut reclaimer = Reclaimer::default();
-        let mut due = |used, ms| reclaimer.due(used >= 500, used >= 600, start + Duration::from_millis(ms));
+        let mut due = |pressure, ms| reclaimer.due(pressure, start + Duration::from_millis(ms));
         let (first, again) = (Due::Caches { is_again: false }, Due::Caches { is_again: true });
-        assert_eq!(due(499, 0), Due::Nothing);
-        assert_eq!(due(500, 0), Due::Pages);
-        assert_eq!(due(599, 4999), Due::Nothing);
-        assert_eq!(due(599, 5000), Due::Pages);
-        assert_eq!(due(600, 5025), first, "what lacks room does not wait for the interval");
-        assert_eq!(due(700, 5250), Due::Nothing);
-        assert_eq!(due(700, 5275), Due::Pages);
-        assert_eq!(due(599, 6000), Due::Nothing);
-        assert_eq!(due(700, 6025), again);
-        assert_eq!(due(599, 11_024), Due::Nothing);
-        assert_eq!(due(599, 11_025), Due::Pages);
-        assert_eq!(due(600, 16_024), again);
-        assert_eq!(due(600, 26_024), first);
-        assert_eq!(due(499, 26_100), Due::Nothing);
-        assert_eq!(due(600, 27_024), first, "the caches were what had filled the memory");
-        assert_eq!(due(600, 28_024), again);
+        assert_eq!(due(Low, 0), Due::Nothing);
+        assert_eq!(due(Near, 0), Due::Pages);
+        assert_eq!(due(Near, 4999), Due::Nothing);
+        assert_eq!(due(Near, 5000), Due::Pages);
+        assert_eq!(due(NoRoom, 5025), first, "what lacks room does not wait for the interval");
+        assert_eq!(due(NoRoom, 5250), Due::Nothing);
+        assert_eq!(due(NoRoom, 5275), Due::Pages);
+        assert_eq!(due(Near, 6000), Due::Nothing);
+        assert_eq!(due(NoRoom, 6025), again);
+        assert_eq!(due(Near, 11_024), Due::Nothing);
+        assert_eq!(due(Near, 11_025), Due::Pages);
+        assert_eq!(due(NoRoom, 16_024), again);
+        assert_eq!(due(NoRoom, 26_024), first);
+        assert_eq!(due(Low, 26_100), Due::Nothing);
+        assert_eq!(due(NoRoom, 27_024), first, "the caches were what had filled the memory");
+        assert_eq!(due(NoRoom, 28_024), again);
+        assert_eq!(due(Unready, 38_023), Due::Pages);
+        assert_eq!(due(Unready, 38_024), first, "a server that is idle becomes ready");
+        assert_eq!(due(Near, 90_000), Due::Pages, "a ready one keeps its caches");
     }
 }
