@@ -65,8 +65,8 @@ pub async fn stream(State(state): State<Arc<ServerState>>, mut request: Request)
         return Problem::new(ProblemKind::NoSession, sentence).into_response();
     }
     let Ok(permit) = Arc::clone(&state.session_permits).try_acquire_owned() else {
-        // There is a place when the client retries, if no other limit rejects it then. Not for a
-        // client that may have no token: it would end the sessions of those that have one.
+        // A place becomes free for the retry; it is not reserved. Not for a client that may have no
+        // token: it would end the sessions of those that have one.
         let is_admitted = offer.token.is_none() && !state.memory.is_exceeded();
         if is_admitted && state.sessions_per_ip.try_acquire(peer, 0).is_some() {
             let _ = state.open_sessions.displace_for(peer, Instant::now());
@@ -105,9 +105,9 @@ pub async fn stream(State(state): State<Arc<ServerState>>, mut request: Request)
     response
 }
 
-/// Frees the places of a session that has ended: when its refusal back-off ends, or its client
-/// could leave the pauses out by a new session. A client of another site waits for the place of a
-/// displaced session: that is free at once, and counts for the network of its client alone.
+/// Frees the places of a session that has ended, once its refusal back-off has ended: otherwise its
+/// client could skip the pauses by a new session. The place of a displaced session is free at once,
+/// for the client of another site that waits for it; that of its own site is not.
 async fn free_places(
     (permit, ip_permit): (OwnedSemaphorePermit, IpPermit),
     ending: Option<Ending>,

@@ -93,7 +93,8 @@ impl MemoryLimit {
     }
 
     /// The memory in use that counts against the limit, bytes: that of all processes of the group,
-    /// or that of this process. Pages of files do not count, since the system takes them back.
+    /// or that of this process. Pages of files and caches of the kernel do not count, since the system
+    /// takes them back; version 1 does not say how much the latter are.
     #[must_use]
     pub fn used_bytes(&self, files: &OpenFiles) -> Option<u64> {
         self.used(&|path| files.read(path))
@@ -106,7 +107,8 @@ impl MemoryLimit {
         let usage: u64 = read(&folder.join(version.usage))?.trim().parse().ok()?;
         let stat = read(&folder.join("memory.stat"))?;
         let files = field(&stat, version.files)?.saturating_sub(field(&stat, version.shared).unwrap_or(0));
-        Some(usage.saturating_sub(files))
+        let caches = field(&stat, "slab_reclaimable").unwrap_or(0);
+        Some(usage.saturating_sub(files).saturating_sub(caches))
     }
 }
 
@@ -228,9 +230,12 @@ mod tests {
         assert_eq!(limit.to_string(), "512 MiB, /sys/fs/cgroup/system.slice/memory.max");
         let usage = [
             ("/sys/fs/cgroup/system.slice/memory.current", "104857600\n"),
-            ("/sys/fs/cgroup/system.slice/memory.stat", "anon 1\nfile 20971520\nshmem 10485760\n"),
+            (
+                "/sys/fs/cgroup/system.slice/memory.stat",
+                "file 20971520\nshmem 10485760\nslab_reclaimable 1048576\n",
+            ),
         ];
-        assert_eq!(limit.used(&reader(&usage)), Some(90 << 20));
+        assert_eq!(limit.used(&reader(&usage)), Some(89 << 20));
         let limit = limit_of(&[MEMINFO, group, mounts, slice, (service, "1048576\n")]).unwrap();
         assert_eq!(limit.bytes(), 1 << 20);
         // More than the machine has is no limit.

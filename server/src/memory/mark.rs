@@ -1,12 +1,12 @@
 //! The memory mark: while the process uses more of its memory than a share, no further session
-//! begins, and open sessions receive no new views or chunks. The rest is for the data that they
-//! hold already.
+//! begins, and the server selects no further views and sends no further chunks. The rest is for what
+//! open sessions hold.
 //!
-//! Where few sessions have room below the mark, the caches are cleared; if that was done within
-//! seconds and did not help, sessions end too. The memory that many sessions hold together may still grow.
-//! If the memory stays beyond the mark, sessions end, few at a time; close to the limit, many:
-//! otherwise the system would end the process, and with it every session. Those of the sites that
-//! have the most end first.
+//! Where few sessions have room below the mark, the caches are cleared; at the mark sessions end, too,
+//! if that was done within seconds and did not help. Open sessions may still take more memory, for
+//! what they have requested already. If the memory stays beyond the mark, sessions end, few at a time;
+//! close to the limit, many: otherwise the system would end the process, and with it every session.
+//! Those of the sites that have the most end first.
 
 use super::limit::{MemoryLimit, OpenFiles};
 use super::reclaim::{Pressure, Reclaim, Reclaimer};
@@ -128,7 +128,9 @@ impl MemoryMark {
 
     /// How scarce memory is.
     fn pressure(&self, used: u64, limit: u64) -> Pressure {
-        if room_below(used, limit) < (limit / 16 / SESSION_BYTES).clamp(1, LEAST_ROOM) {
+        if self.is_exceeded() {
+            Pressure::Exceeded
+        } else if room_below(used, limit) < (limit / 16 / SESSION_BYTES).clamp(1, LEAST_ROOM) {
             Pressure::NoRoom
         } else if used < limit / 8 * READY_EIGHTHS {
             Pressure::Low
@@ -147,6 +149,15 @@ impl MemoryMark {
         self.is_reached.store(is_reached, Ordering::Relaxed);
         self.is_exceeded.store(used >= limit / 8 * MARK_EIGHTHS, Ordering::Relaxed);
         is_reached != was_reached
+    }
+
+    /// Records that the memory in use is not known: no session begins, and open ones go on.
+    fn record_unknown(&self) {
+        self.is_reached.store(true, Ordering::Relaxed);
+        self.is_exceeded.store(false, Ordering::Relaxed);
+        let mut room = self.room();
+        room.taken.clear();
+        room.left = 0;
     }
 }
 
@@ -169,15 +180,15 @@ impl Shedding {
     /// How many of the open sessions end now. With `is_refilled` the caches were cleared, not long
     /// after the last time, which did not help.
     fn due(&mut self, used: u64, limit: u64, open: usize, is_refilled: bool, now: Instant) -> usize {
+        if used < limit / 8 * MARK_EIGHTHS {
+            self.last = None;
+            return 0;
+        }
         // Sessions that hold the memory below the mark must not keep the caches empty.
         let (refill_divisor, refill_pause) = SHED;
         if is_refilled && self.ended.is_none_or(|ended| now >= ended + refill_pause) {
             (self.last, self.ended) = (Some((now, used)), Some(now));
             return open.div_ceil(refill_divisor);
-        }
-        if used < limit / 8 * MARK_EIGHTHS {
-            self.last = None;
-            return 0;
         }
         let (last, used_then) = *self.last.get_or_insert((now, used));
         // The allocator gives memory back late: what does not grow is not critical.
@@ -211,10 +222,12 @@ pub async fn watch(
             if !std::mem::replace(&mut is_unknown, true) {
                 tracing::error!(%limit, "the memory in use cannot be read: no further sessions begin");
             }
-            mark.make_room(limit.bytes(), limit.bytes());
+            mark.record_unknown();
             continue;
         };
-        is_unknown = false;
+        if std::mem::replace(&mut is_unknown, false) {
+            tracing::info!(%limit, "the memory in use can be read again");
+        }
         metrics.limits.memory_used_bytes.set(i64::try_from(used).unwrap_or(i64::MAX));
         let now = Instant::now();
         if mark.record(used, limit.bytes()) {
@@ -276,18 +289,18 @@ mod tests {
 
     #[test]
     fn room_lacks_below_four_sessions_or_a_sixteenth_of_the_limit() {
-        use Pressure::{Low, Near, NoRoom, Unready};
+        use Pressure::{Exceeded, Low, Near, NoRoom, Unready};
         const MIB: u64 = 1 << 20;
         let mark = MemoryMark::new(None);
         for (limit, most) in [(800, 592), (128, 88), (64, 44), (16, 10)] {
             assert_ne!(mark.pressure(most * MIB, limit * MIB), NoRoom, "{limit} MiB");
             assert_eq!(mark.pressure(most * MIB + 1, limit * MIB), NoRoom, "{limit} MiB");
         }
-        let pressures = [499, 500, 600, 500, 499, 500].map(|used| {
+        let pressures = [499, 500, 593, 600, 500, 599, 499, 500].map(|used| {
             mark.record(used * MIB, 800 * MIB);
             mark.pressure(used * MIB, 800 * MIB)
         });
-        assert_eq!(pressures, [Low, Near, NoRoom, Unready, Low, Near]);
+        assert_eq!(pressures, [Low, Near, NoRoom, Exceeded, Unready, NoRoom, Low, Near]);
     }
 
     #[test]
@@ -308,6 +321,17 @@ mod tests {
             (mark.is_reached(), mark.is_exceeded())
         });
         assert_eq!(states, [(false, false), (true, true), (true, false), (true, false), (false, false)]);
+    }
+
+    #[test]
+    fn where_the_memory_is_not_known_no_session_begins_and_open_ones_go_on() {
+        let mark = MemoryMark::new(Some(MemoryLimit::of_machine(800 << 20)));
+        mark.make_room(0, 800 << 20);
+        mark.record(700, 800);
+        mark.record_unknown();
+        assert_eq!((mark.is_reached(), mark.is_exceeded(), mark.admits(None)), (true, false, false));
+        assert!(mark.record(499, 800), "it is known again");
+        assert!(!mark.is_reached());
     }
 
     #[test]
@@ -343,7 +367,7 @@ mod tests {
         assert_eq!(due(600, false, 1000), 10);
         assert_eq!(due(599, false, 2100), 0, "below the mark");
         assert_eq!(due(600, false, 2200), 0, "it was exceeded again just now");
-        assert_eq!(due(590, true, 2300), 10, "nor do the caches wait for the mark");
+        assert_eq!(due(600, true, 2300), 10, "the caches do not wait for that");
         assert_eq!(due(600, false, 3200), 0, "sessions ended within the second");
         assert_eq!(due(600, false, 3300), 10);
     }

@@ -1,4 +1,4 @@
-//! What a server gives back where memory lacks: the caches where few sessions have room below the
+//! What a server gives back when memory is short: the caches where few sessions have room below the
 //! memory mark, or the server is not ready, and from the lower share on the free pages of its threads.
 
 use super::heaps;
@@ -9,15 +9,16 @@ use tokio::runtime::Handle;
 /// another one.
 const WAKE: Duration = Duration::from_millis(1);
 
-/// Time between two clears of the caches.
+/// Time between two clears of the caches beyond the mark; below it [`REFILL`].
 const CLEAR_INTERVAL: Duration = Duration::from_secs(1);
 
 /// Caches that are cleared again within this time were not what filled the memory, unless less was in
 /// use between.
 const REFILL: Duration = Duration::from_secs(10);
 
-/// Time between two requests for free pages where sessions have no room: of threads that return
-/// pages at once, mimalloc lets one give them to the system, and the others at their next request.
+/// Time between two requests for free pages where sessions have no room: if several threads return
+/// pages at the same time, mimalloc lets one of them give its pages to the system, and the others at
+/// their next request.
 const RETURN_INTERVAL: Duration = Duration::from_millis(250);
 
 /// The same where they have room: each request takes the threads some milliseconds, and sessions fill
@@ -44,6 +45,8 @@ pub(super) enum Pressure {
     Unready,
     /// Few sessions have room below the mark.
     NoRoom,
+    /// It is beyond the mark.
+    Exceeded,
 }
 
 /// When memory is given back.
@@ -100,7 +103,8 @@ impl Reclaimer {
             Pressure::Near => (None, EARLY_RETURN_INTERVAL),
             // Seldom: sessions may hold the memory, and caches are worth something in this time.
             Pressure::Unready => (Some(REFILL), EARLY_RETURN_INTERVAL),
-            Pressure::NoRoom => (Some(CLEAR_INTERVAL), RETURN_INTERVAL),
+            Pressure::NoRoom => (Some(REFILL), RETURN_INTERVAL),
+            Pressure::Exceeded => (Some(CLEAR_INTERVAL), RETURN_INTERVAL),
         };
         let is_after = |last: Option<Instant>, interval| last.is_none_or(|last| now >= last + interval);
         if clear_interval.is_some_and(|interval| is_after(self.cleared, interval)) {
@@ -122,7 +126,7 @@ mod tests {
 
     #[test]
     fn caches_are_cleared_where_room_lacks_and_pages_returned_from_the_lower_share_on() {
-        use Pressure::{Low, Near, NoRoom, Unready};
+        use Pressure::{Exceeded, Low, Near, NoRoom, Unready};
         let start = Instant::now();
         let mut reclaimer = Reclaimer::default();
         let mut due = |pressure, ms| reclaimer.due(pressure, start + Duration::from_millis(ms));
@@ -131,18 +135,19 @@ mod tests {
         assert_eq!(due(Near, 0), Due::Pages);
         assert_eq!(due(Near, 4999), Due::Nothing);
         assert_eq!(due(Near, 5000), Due::Pages);
-        assert_eq!(due(NoRoom, 5025), first, "what lacks room does not wait for the interval");
-        assert_eq!(due(NoRoom, 5250), Due::Nothing);
-        assert_eq!(due(NoRoom, 5275), Due::Pages);
+        assert_eq!(due(Exceeded, 5025), first, "the mark does not wait for the interval");
+        assert_eq!(due(Exceeded, 5250), Due::Nothing);
+        assert_eq!(due(Exceeded, 5275), Due::Pages);
         assert_eq!(due(Near, 6000), Due::Nothing);
-        assert_eq!(due(NoRoom, 6025), again);
+        assert_eq!(due(Exceeded, 6025), again);
         assert_eq!(due(Near, 11_024), Due::Nothing);
         assert_eq!(due(Near, 11_025), Due::Pages);
-        assert_eq!(due(NoRoom, 16_024), again);
+        assert_eq!(due(NoRoom, 11_275), Due::Pages, "below the mark the caches stay for a while");
+        assert_eq!(due(Exceeded, 16_024), again);
         assert_eq!(due(NoRoom, 26_024), first);
         assert_eq!(due(Low, 26_100), Due::Nothing);
-        assert_eq!(due(NoRoom, 27_024), first, "the caches were what had filled the memory");
-        assert_eq!(due(NoRoom, 28_024), again);
+        assert_eq!(due(Exceeded, 27_024), first, "the caches were what had filled the memory");
+        assert_eq!(due(Exceeded, 28_024), again);
         assert_eq!(due(Unready, 38_023), Due::Pages);
         assert_eq!(due(Unready, 38_024), first, "a server that is idle becomes ready");
         assert_eq!(due(Near, 90_000), Due::Pages, "a ready one keeps its caches");

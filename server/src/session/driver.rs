@@ -36,8 +36,8 @@ use tokio::time::{Instant, timeout};
 /// message slightly over its limit.
 pub const READ_LIMIT: usize = 8 * MAX_CONTROL_FRAME;
 
-/// Time for the Close frame, the peer's answer and the end of the connection. A peer that sends
-/// until then is cut off.
+/// Time for the Close frame, the peer's answer and the end of the connection. A peer that is
+/// still sending then is cut off.
 const CLOSE_TIMEOUT: Duration = Duration::from_secs(2);
 
 /// A session that has ended.
@@ -49,7 +49,7 @@ pub struct Ended<S> {
     pub ending: Option<Ending>,
     /// The stream, not yet dropped.
     pub stream: S,
-    /// When its refusal back-off ends: not with the session.
+    /// When its refusal back-off ends, which may be after the session.
     pub backoff_until: Instant,
 }
 
@@ -69,7 +69,7 @@ where
     state.metrics.sessions.open.inc();
     let number = stats.number();
     tracing::debug!(session = number, "session opened");
-    // Boxed, and a block: an idle session must not have room for what comes after it.
+    // Boxed, and a block: so the future of an idle session stays small.
     let mut rest = Box::new({
         let mut driver = Driver {
             socket,
@@ -142,7 +142,7 @@ struct Driver<'a, S> {
     flow: Flow,
     /// Until when a view or a chunk waits, if one does, and for what.
     delay: Option<(Instant, Delay)>,
-    /// Whether the session is read.
+    /// Limits when the session is read.
     backoff: RefusalBackoff,
     /// When an unfinished message must be complete.
     message_deadline: MessageDeadline,

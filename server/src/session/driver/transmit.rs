@@ -48,13 +48,15 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
             // A slow reader must not miss the announcement.
             () = self.state.draining.cancelled(), if !self.is_draining => {
                 self.socket.drop_unwritten();
+                self.unwritten.clear();
+                bytes = 0;
                 Ok(())
             }
         };
         self.batch = 0;
         self.traces.flushed(result.is_ok());
-        self.state.metrics.sessions.sent_bytes.inc_by(bytes);
         if result.is_ok() {
+            self.state.metrics.sessions.sent_bytes.inc_by(bytes);
             let now = Instant::now();
             for (since, count) in self.unwritten.drain(..) {
                 self.state.metrics.sessions.latency.observe(now - since, count);
