@@ -76,7 +76,7 @@ pub enum Subject {
     Culling,
     /// Density and thinning of grass
     Grass,
-    /// Impostors and single culling of trees
+    /// Impostors and per-tree culling of trees
     Trees,
 }
 

@@ -1,5 +1,5 @@
-//! Trees beyond the range of single culling: none in view is left out, they stand where single ones
-//! would, and those without room are counted.
+//! Trees beyond the range of per-tree culling: none in view is left out, they stand where single
+//! ones would, and those without room are counted.
 
 use client::cache::ChunkCache;
 use client::camera::Projection;

@@ -74,7 +74,7 @@ pub struct Args {
     /// Read rate of each slow client, bytes a second, 1 to 1000000 [default: 2048]
     #[arg(long, value_name = "BYTES", value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     pub slow_rate: Option<u32>,
-    /// Additional idle clients, 0 to 10000, that send no Hello or, every other one, one view and
+    /// Additional silent clients, 0 to 10000, that send no Hello or, every other one, one view and
     /// then nothing; reported separately
     #[arg(long, value_name = "N", default_value_t = 0,
           value_parser = clap::value_parser!(u32).range(0..=10_000))]
@@ -135,7 +135,7 @@ pub struct LoadConfig {
     pub slow: u32,
     /// Read rate of each of them, bytes a second, at least 1.
     pub slow_bytes_per_s: u32,
-    /// Additional idle clients.
+    /// Additional silent clients.
     pub silent: u32,
     /// Seed of paths, requests and arrivals.
     pub seed: u32,

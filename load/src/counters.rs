@@ -26,7 +26,7 @@ pub(crate) enum ProblemKind {
 /// Live counters. Relaxed atomics: nothing is ordered by them.
 #[derive(Debug, Default)]
 pub struct Counters {
-    /// The timeline that gets the same events; none for slow and idle clients.
+    /// The timeline that gets the same events; none for slow and silent clients.
     timeline: Option<Arc<Timeline>>,
     /// Sessions admitted, or HTTP connections that received the world's description.
     pub(crate) admitted: AtomicU64,
@@ -55,14 +55,14 @@ pub struct Counters {
     pub(crate) closed_as_announced: AtomicU64,
     /// Time of the last of these, microseconds since the start of the run.
     last_close_us: AtomicU64,
-    /// Of slow and idle clients: still connected at the end of the run.
+    /// Of slow and silent clients: still connected at the end of the run.
     pub(crate) stayed: AtomicU64,
     /// A mutex suffices: some thousand records a second, and nothing awaits while it is held.
     latencies: Mutex<Latencies>,
     settling: Mutex<Latencies>,
     lateness: Mutex<Latencies>,
     gaps: Mutex<Latencies>,
-    /// Of slow and idle clients: why their connections were closed, and how often.
+    /// Of slow and silent clients: why their connections were closed, and how often.
     closed: Mutex<BTreeMap<String, u64>>,
     /// The first distinct ones of each kind.
     problems: Mutex<BTreeMap<ProblemKind, Vec<String>>>,
@@ -237,7 +237,7 @@ impl Counters {
         add(&self.unsent);
     }
 
-    /// The server closed the connection of a slow or idle client.
+    /// The server closed the connection of a slow or silent client.
     pub fn closed(&self, why: &str) {
         let mut closed = lock(&self.closed);
         // Bounded, in case a server gives a new reason each time.
@@ -245,7 +245,7 @@ impl Counters {
         *closed.entry(why.into()).or_default() += 1;
     }
 
-    /// A slow or idle client was still connected at the end of the run.
+    /// A slow or silent client was still connected at the end of the run.
     pub fn stayed(&self) {
         add(&self.stayed);
     }

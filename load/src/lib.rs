@@ -8,7 +8,7 @@
 //! - clients: [`task`] (what a client gets, how a session ends), [`client`] (one client through one
 //!   phase), [`session`] (WebSocket), [`held`] and [`resume`] (what outlives a session),
 //!   [`request_pause`] (what follows a refusal), [`http`],
-//!   [`slow`] and [`idle`] (background clients);
+//!   [`slow`] and [`silent`] (background clients);
 //! - verification: [`expected`] (which chunks may arrive), [`verify`] (what a chunk must satisfy),
 //!   [`released`] (what views may lack), [`world`] (which world it is), [`checker`] and
 //!   [`regeneration`] (who checks);
@@ -29,7 +29,6 @@ pub mod dial;
 pub mod expected;
 pub mod held;
 pub mod http;
-pub mod idle;
 pub mod keys;
 pub mod latency;
 pub mod mode;
@@ -46,6 +45,7 @@ pub mod run;
 pub mod run_stats;
 pub mod schedule;
 pub mod session;
+pub mod silent;
 pub mod slow;
 pub mod task;
 pub mod throttle;

@@ -21,7 +21,7 @@ use std::time::Duration;
 /// together and of measured clients only.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Report {
-    /// Measured clients, without slow and idle ones.
+    /// Measured clients, without slow and silent ones.
     pub clients: u32,
     /// Of these, without a session in the whole run; over HTTP, without the world's description.
     pub never_connected: u64,
@@ -75,7 +75,7 @@ pub struct Report {
     pub resume: ResumeReport,
     /// Slow clients, if any.
     pub slow: Option<BackgroundClients>,
-    /// Idle clients, if any.
+    /// Silent clients, if any.
     pub silent: Option<BackgroundClients>,
     /// The run second by second.
     pub timeline: Vec<Second>,
@@ -125,7 +125,7 @@ pub struct PhaseReport {
     pub settle_ms: LatencyMs,
 }
 
-/// Slow or idle clients, whose figures are separate.
+/// Slow or silent clients, whose figures are separate.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct BackgroundClients {
     /// Number of clients.
@@ -392,7 +392,7 @@ mod tests {
     }
 
     #[test]
-    fn slow_and_idle_clients_are_separate_and_only_mismatches_fail() {
+    fn slow_and_silent_clients_are_separate_and_only_mismatches_fail() {
         let config = LoadConfig { slow: 3, silent: 2, ..config() };
         let count = |stats: &RunStats| {
             stats.phases[0].1.chunk(1000);

@@ -1,4 +1,4 @@
-//! A whole run: every measured client through every phase, slow and idle clients beside them.
+//! A whole run: every measured client through every phase, slow and silent clients beside them.
 
 use crate::client::{self, Outcome};
 use crate::config::LoadConfig;
@@ -11,7 +11,7 @@ use crate::report::Report;
 use crate::run_stats::RunStats;
 use crate::task::Task;
 use crate::world::FirstWorld;
-use crate::{idle, slow};
+use crate::{silent, slow};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
@@ -19,7 +19,7 @@ use tokio::task::JoinSet;
 use tokio::time::{Instant, sleep_until};
 use tokio_util::sync::CancellationToken;
 
-/// Time over which slow and idle clients connect.
+/// Time over which slow and silent clients connect.
 const BACKGROUND_RAMP: Duration = Duration::from_secs(1);
 
 /// Runs a load test. Never fails: faults are counted and decide the verdict of the report.
@@ -54,7 +54,7 @@ pub async fn run_over<D: Dial>(
         clients.spawn(run_slow(Arc::clone(&shared), regeneration.clone(), index));
     }
     for index in 0..shared.config.silent {
-        clients.spawn(run_idle(Arc::clone(&shared), regeneration.clone(), index));
+        clients.spawn(run_silent(Arc::clone(&shared), regeneration.clone(), index));
     }
     let mut interrupted = None;
     loop {
@@ -98,7 +98,7 @@ impl<D> Shared<D> {
         self.stats.phases.last().map_or(&self.stats.slow, |(_, counters)| counters)
     }
 
-    /// The task of a slow or idle client, which runs through all phases.
+    /// The task of a slow or silent client, which runs through all phases.
     fn background_task<'a>(
         &'a self,
         (index, n): (u32, u32),
@@ -176,11 +176,11 @@ async fn run_slow<D: Dial>(shared: Arc<Shared<D>>, regeneration: Regeneration, i
     }
 }
 
-async fn run_idle<D: Dial>(shared: Arc<Shared<D>>, regeneration: Regeneration, index: u32) {
+async fn run_silent<D: Dial>(shared: Arc<Shared<D>>, regeneration: Regeneration, index: u32) {
     let (number, had_session) = ((index, shared.config.silent), AtomicBool::new(false));
     let interrupt = shared.interrupt.child_token();
     let task = shared.background_task(number, &shared.stats.silent, &regeneration, &had_session, &interrupt);
     if task.until(task.end, sleep_until(task.epoch)).await.is_some() {
-        idle::run(&task).await;
+        silent::run(&task).await;
     }
 }

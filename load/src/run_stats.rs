@@ -1,4 +1,4 @@
-//! Live statistics of a run: measured clients by phase, slow and idle clients separately.
+//! Live statistics of a run: measured clients by phase, slow and silent clients separately.
 
 use crate::config::LoadConfig;
 use crate::counters::{Counters, get};
@@ -21,7 +21,7 @@ pub struct RunStats {
     pub(crate) never_connected: AtomicU64,
     /// Slow clients.
     pub(crate) slow: Arc<Counters>,
-    /// Idle clients.
+    /// Silent clients.
     pub(crate) silent: Arc<Counters>,
 }
 

@@ -317,7 +317,7 @@ async fn lost_sessions_of_an_open_loop_keep_their_due_requests() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn slow_and_idle_clients_do_not_change_other_figures() {
+async fn slow_and_silent_clients_do_not_change_other_figures() {
     let alone = calm(Mode::View, None).await;
     let config = LoadConfig { slow: 3, silent: 4, slow_bytes_per_s: 1000, ..config(Mode::View, None) };
     let report = load_on(Server::new(Transport::WebSocket), config).await;

@@ -71,9 +71,9 @@ impl View {
         }
     }
 
-    /// The viewer in [`AHEAD_S`] seconds at its present velocity, for prefetch; none if it hardly
-    /// moves. At most half of the view distance away, so that prefetched chunks border on visible
-    /// ones. Integers, so that two machines choose the same chunks.
+    /// The viewer in [`AHEAD_S`] seconds at its present velocity, for prefetch; none below 64 m/s, at
+    /// which it moves by a finest chunk in that time. At most half of the view distance away, so that
+    /// prefetched chunks border on visible ones. Integers, so that two machines choose the same chunks.
     #[must_use]
     pub fn viewer_ahead(&self) -> Option<Viewer> {
         let viewer = self.viewer();
@@ -81,7 +81,7 @@ impl View {
         let [east, _, south] =
             self.velocity.map(|velocity| i64::from(velocity).clamp(-(1 << 29), 1 << 29) * AHEAD_S);
         let way = (east * east + south * south).isqrt();
-        // Less than a finest chunk in that time: the next view arrives early enough.
+        // The next view arrives early enough.
         if way < 1 << CHUNK_BITS {
             return None;
         }

@@ -65,7 +65,7 @@ fn chunks_of(mut stream: ServerStream) -> Result<usize, String> {
             Some(StreamEvent::Connected { .. }) => stream.set_view(view(1, 600)),
             Some(StreamEvent::Chunk(_)) => chunks += 1,
             Some(StreamEvent::Settled { .. }) => return Ok(chunks),
-            Some(StreamEvent::Disconnected { cause, .. } | StreamEvent::Refused { detail: cause }) => {
+            Some(StreamEvent::Disconnected { cause, .. } | StreamEvent::Refused { detail: cause, .. }) => {
                 return Err(cause);
             }
             Some(StreamEvent::Missed { .. }) => {}

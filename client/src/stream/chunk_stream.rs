@@ -19,7 +19,7 @@ pub enum StreamEvent {
     },
     /// A verified chunk.
     Chunk(Box<Chunk>),
-    /// Every chunk of the view with this id has been sent.
+    /// Every chunk of the view with this id was sent or refused, or is held.
     Settled {
         /// The view's id.
         view: u32,
@@ -31,8 +31,10 @@ pub enum StreamEvent {
         /// One sentence.
         detail: String,
     },
-    /// The latest view was refused.
+    /// A view or a grant of credit was refused.
     Refused {
+        /// The view's id; none for a grant of credit.
+        view: Option<u32>,
         /// One sentence.
         detail: String,
     },

@@ -286,7 +286,7 @@ impl GuardedSession {
             }
             None if refused.reason == RefusalReason::InvalidCredit => {
                 trust.surplus()?;
-                Ok(Received::Event(StreamEvent::Refused { detail }))
+                Ok(Received::Event(StreamEvent::Refused { view: None, detail }))
             }
             // Ids of requests and of views are apart; a refused request of several chunks has
             // another reason.
@@ -299,7 +299,7 @@ impl GuardedSession {
                 }
                 // Nothing of it is to come.
                 self.is_open = false;
-                Ok(Received::Event(StreamEvent::Refused { detail }))
+                Ok(Received::Event(StreamEvent::Refused { view: Some(refused.id), detail }))
             }
             // A refused batch of retries among them: they are requested again without an answer.
             _ => {
@@ -367,7 +367,7 @@ mod tests {
         let mut is_reported = |id| {
             let refused = Refused { id, key: None, reason: RefusalReason::Failed, detail: "no room".into() };
             let received = session.refused(&refused, &mut trust, NOW).unwrap();
-            matches!(received, Received::Event(StreamEvent::Refused { .. }))
+            matches!(received, Received::Event(StreamEvent::Refused { view: Some(2), .. }))
         };
         assert_eq!([1, 2].map(&mut is_reported), [false, true]);
         assert!(!session.is_open);

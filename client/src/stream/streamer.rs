@@ -27,7 +27,7 @@ const TOLERANCE_INTERVAL: Duration = Duration::from_millis(400);
 const REFUSED_INTERVAL: Duration = Duration::from_secs(5);
 
 /// Most missed chunks that are remembered. Without a further one the tolerance may be raised too
-/// early, which the next complete view undoes.
+/// early. It falls again only while a complete view draws less than a quarter of the capacity.
 const MAX_MISSED: usize = 1024;
 
 /// State of the connection.
@@ -201,7 +201,12 @@ impl<F: ChunkStream> WorldStreamer<F> {
                 self.missed.extend(key.filter(|_| self.missed.len() < MAX_MISSED));
                 self.last_miss = Some(detail);
             }
-            StreamEvent::Refused { detail } => self.refusal = Some(detail),
+            StreamEvent::Refused { view, detail } => {
+                // The view that was sent after a refused one may be accepted.
+                if view.is_none() || view == self.last_view() {
+                    self.refusal = Some(detail);
+                }
+            }
             StreamEvent::Disconnected { cause, retry } => {
                 self.failures += 1;
                 self.sent = None;
@@ -239,9 +244,6 @@ impl<F: ChunkStream> WorldStreamer<F> {
             if (same && sent.velocity == [0; 3] && !is_refused) || elapsed < VIEW_INTERVAL {
                 return same;
             }
-            if !same {
-                self.refusal = None;
-            }
             let seconds = elapsed.as_secs_f64().max(0.001);
             view.velocity = [0, 1, 2].map(|axis| {
                 let moved = f64::from(view.eye[axis]) - f64::from(sent.eye[axis]);
@@ -252,7 +254,14 @@ impl<F: ChunkStream> WorldStreamer<F> {
         self.stream.set_view(view);
         self.cache.view_sent();
         self.sent = Some((view, now));
+        // Its answer is still to come, in a new session too.
+        self.refusal = None;
         true
+    }
+
+    /// Id of the last view that was sent in this session.
+    fn last_view(&self) -> Option<u32> {
+        self.sent.as_ref().map(|(view, _)| view.id)
     }
 
     /// The view with the tolerance for chunk selection.
@@ -260,10 +269,11 @@ impl<F: ChunkStream> WorldStreamer<F> {
         ViewParams { tolerance_px: self.tolerance_px(view), ..*view }
     }
 
-    /// Whether the server has sent every chunk of the last sent view.
+    /// Whether the server has sent or refused every chunk of the last sent view, or knows it as
+    /// held.
     #[must_use]
     pub fn is_settled(&self) -> bool {
-        self.sent.as_ref().is_some_and(|(view, _)| self.settled == Some(view.id))
+        self.settled.is_some() && self.settled == self.last_view()
     }
 
     /// Tolerated screen error, pixels: the requested one, or more while the budget is too small.
@@ -470,26 +480,44 @@ mod tests {
     }
 
     #[test]
-    fn a_refused_view_is_sent_again_after_a_while() {
+    fn a_refused_view_is_sent_again_once_for_each_refusal() {
         let mut streamer = WorldStreamer::new(Script::default(), 10);
         streamer.stream.events.push_back(connected(1));
         streamer.update(&view(), AT(0), 10, |_| ());
-        // A chunk that is known to be missing: the settled view raises no tolerance.
-        let missed = StreamEvent::Missed { key: ChunkKey::new(3, 0, 0).ok(), detail: "bad".into() };
-        streamer.stream.events.extend([StreamEvent::Refused { detail: "no room".into() }, missed]);
-        for millis in (100..11_000).step_by(100) {
-            streamer.update(&view(), AT(millis), 10, |_| ());
-        }
-        assert_eq!(streamer.refusal(), Some("no room"), "until it is answered");
-        let ids = |streamer: &WorldStreamer<Script>| {
-            streamer.stream.views.iter().map(|view| view.id).collect::<Vec<_>>()
+        let refused = |view| StreamEvent::Refused { view: Some(view), detail: "no room".into() };
+        // Whether the view counts as refused at the end, and the number of views sent until then.
+        let mut run = |event: Option<StreamEvent>, millis: std::ops::Range<u64>| {
+            streamer.stream.events.extend(event);
+            for millis in millis.step_by(100) {
+                streamer.update(&view(), AT(millis), 10, |_| ());
+            }
+            (streamer.refusal().is_some(), streamer.stream.views.len())
         };
-        assert_eq!(ids(&streamer), [1, 2, 3], "at 0, 5 and 10 s");
-        streamer.stream.events.push_back(StreamEvent::Settled { view: 3 });
-        for millis in (11_000..30_000).step_by(100) {
-            streamer.update(&view(), AT(millis), 10, |_| ());
+        assert_eq!(run(Some(refused(1)), 100..5_000), (true, 1));
+        assert_eq!(run(None, 5_000..6_000), (false, 2), "sent again, not answered yet");
+        assert_eq!(run(Some(refused(2)), 6_000..10_000), (true, 2));
+        assert_eq!(run(None, 10_000..30_000), (false, 3), "accepted, not settled yet");
+        assert_eq!(run(Some(refused(2)), 30_000..40_000), (false, 3), "of an older view");
+    }
+
+    #[test]
+    fn a_settled_view_and_a_new_session_end_a_refusal() {
+        for (end, sent) in [(StreamEvent::Settled { view: 1 }, 1), (connected(1), 2)] {
+            let mut streamer = WorldStreamer::new(Script::default(), 10);
+            streamer.stream.events.push_back(connected(1));
+            streamer.update(&view(), AT(0), 10, |_| ());
+            // A chunk that is known to be missing: the settled view raises no tolerance.
+            let missed = StreamEvent::Missed { key: ChunkKey::new(3, 0, 0).ok(), detail: "bad".into() };
+            let refused = StreamEvent::Refused { view: None, detail: "no credit".into() };
+            streamer.stream.events.extend([refused, missed]);
+            streamer.update(&view(), AT(100), 10, |_| ());
+            assert_eq!(streamer.refusal(), Some("no credit"));
+            streamer.stream.events.push_back(end);
+            for millis in (200..20_000).step_by(100) {
+                streamer.update(&view(), AT(millis), 10, |_| ());
+            }
+            assert_eq!((streamer.refusal(), streamer.stream.views.len()), (None, sent));
         }
-        assert_eq!((streamer.refusal(), ids(&streamer).len()), (None, 3), "accepted");
     }
 
     #[test]

@@ -1,5 +1,5 @@
 //! Trees: where impostors begin, and up to where each tree is culled by itself, against leaves and
-//! single culling everywhere: mean FLIP, vertices, trees.
+//! per-tree culling everywhere: mean FLIP, vertices, trees.
 
 use crate::curve::{Curve, Sheet};
 use crate::flip::{PIXELS_PER_DEGREE, mean};
@@ -133,7 +133,7 @@ pub fn measure(world_seed: u64) -> Result<Curve> {
 
     let caption = format!(
         "{} views of woods, {} x {} pixels averaged from {} x {}, trees up to {} m; against leaves, and \
-         single culling, up to {} m; FLIP at {PIXELS_PER_DEGREE} pixels per degree; without trees {:.3}; \
+         per-tree culling, up to {} m; FLIP at {PIXELS_PER_DEGREE} pixels per degree; without trees {:.3}; \
          {adapter}.",
         CAMERAS.len(),
         SIZE.0,

@@ -76,7 +76,7 @@ pub struct Variation {
     pub scenes: u64,
     /// T4.
     pub hierarchical: Score,
-    /// T2 and T3 by marching together: the control.
+    /// T2 and the march of T3, both counted in one score: the control.
     pub inexact: Score,
 }
 
@@ -105,9 +105,10 @@ fn kinds_of(case: &Case, scene: &Scene) -> Vec<&'static str> {
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Findings {
     pub scenes: u64,
-    /// Scenes whose eye is below the drawn land, because finer chunks than the drawn ones say where
-    /// the ground is. Land is not drawn from below, so it hides nothing there: these scenes count
-    /// for what is lost and not for what is kept.
+    /// Scenes without occlusion tests: the eye is below the drawn land, because finer chunks than
+    /// the drawn ones say where the ground is, or no land is drawn at the eye. Land is not drawn
+    /// from below and hides nothing there. These scenes count for false culls, not for what is
+    /// kept.
     pub below_land: u64,
     /// By kind of scene: `steep` (pitches of no walk), `absent_chunks` (a random share of the
     /// chunks has not arrived), `chunk_border` and `level_border` (the eye is exactly on one).
@@ -124,7 +125,8 @@ pub struct Findings {
     pub fetches_exact: f64,
     /// See `fetches_exact`.
     pub fetches_march: f64,
-    /// Time of T3 over that of the march, the same rays one after the other.
+    /// Time of T3 over that of a march in steps of half a metre. Both take the same rays, in turns
+    /// of 50.
     pub time_ratio: f64,
     /// Largest distance between a root and the drawn triangle under it, millimetres.
     pub root_mm: f64,
@@ -132,7 +134,7 @@ pub struct Findings {
     rays: u64,
     #[serde(skip)]
     times: [Duration; 2],
-    /// The first few false culls, for messages.
+    /// The first clumps that T4 culls although a point of their bound is visible, for messages.
     pub culprits: Vec<String>,
 }
 
@@ -206,10 +208,11 @@ impl<S: Slots> Slots for Counting<'_, S> {
     }
 }
 
-/// Points on the bound of a clump as seen from an eye, metres, as the test defines it: the top
-/// follows its plane up to a part of the radius, the rest leans out of it by that much at most,
-/// both along the axis of the ground that the line of sight crosses faster. `corner` is that of the
-/// grid, metres.
+/// Points on the bound of a clump as seen from an eye, metres, as the occlusion test defines it.
+/// Within the `slope_radius` of an occludee the top follows the slope. The rest of its radius is
+/// lean: a point is as high as the slope up to so much farther uphill, but not beyond the
+/// `slope_radius`. Both are measured along the axis of the ground along which the clump is farther
+/// away. `corner` is that of the grid, metres.
 fn hull_of(corner: [f64; 2], extent: &Extent, eye: Point) -> Vec<Point> {
     let metres = |fine: i32| f64::from(fine) / 4096.0;
     let target = &extent.occludee;
@@ -251,8 +254,8 @@ fn of_scene(scene: &Scene, kinds: &[&'static str]) -> Findings {
     let noise = noise_of(&scene.world, square);
     let corner = square.corner.map(|units| f64::from(units) / 256.0);
     let eye = eye_of(&scene.shot.pose);
-    let is_below = scene.plants.species.iter().any(|stand| stand.culling.occlusion_enabled == 0);
-    found.below_land = is_below.into();
+    let is_untested = scene.plants.species.iter().any(|stand| stand.culling.occlusion_enabled == 0);
+    found.below_land = is_untested.into();
     for stand in &scene.plants.species {
         let culling = &stand.culling;
         let fine = Culling { step: 2048, ..*culling };
@@ -302,7 +305,7 @@ fn of_scene(scene: &Scene, kinds: &[&'static str]) -> Findings {
             }
         }
     }
-    if is_below {
+    if is_untested {
         for score in found.scores.values_mut().chain([&mut clumps.hierarchical, &mut clumps.inexact]) {
             (score.hidden, score.kept) = (0, 0);
         }
@@ -321,7 +324,7 @@ fn block_of<S: Slots>(surface: &Surface<'_, S>, stand: &SpeciesParams, clump: &C
     culling.occlusion_enabled != 0 && block.is_none_or(is_hidden)
 }
 
-/// Reads and times of T3 and of the fine march for the same rays.
+/// Adds reads and times of T3 and of a march in steps of half a metre for the same rays.
 fn count_cost<S: Slots>(
     found: &mut Findings,
     surface: &Surface<'_, S>,

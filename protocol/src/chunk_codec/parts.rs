@@ -2,10 +2,10 @@
 //!
 //! The low bits of noise are noise: coding does not shorten them and takes time to decode. So the
 //! lowest 0, 1, 2, 4 or 8 bits of every residual are stored plain. The width of the widest residual
-//! determines the layout of the rest. Its whole bytes but the last become planes of one byte a
-//! residual; the 1 to 8 bits above them are packed into fields of 1, 2, 4 or 8 bits, because a
-//! Huffman code takes at least one bit per symbol, and the upper bits of most residuals carry less
-//! information.
+//! determines the layout of the rest. All bytes of the rest except the highest become planes of one
+//! byte a residual. The 1 to 8 bits of the highest byte are packed into fields of 1, 2, 4 or 8
+//! bits, because a Huffman code takes at least one bit per symbol, and the upper bits of most
+//! residuals carry less information.
 //!
 //! A part follows its length (u16). A part as long as its content is the content itself, a shorter
 //! one is a frame of [`super::entropy`].
@@ -47,9 +47,9 @@ impl Layout {
     }
 }
 
-/// Bits of the widest residual.
-pub(super) const fn width(any: u32) -> u32 {
-    u32::BITS - any.leading_zeros()
+/// Bits of the widest of some residuals, from the bitwise OR of all of them.
+pub(super) const fn width(or_of_all: u32) -> u32 {
+    u32::BITS - or_of_all.leading_zeros()
 }
 
 /// Appends the parts of residuals below `2^width`.
@@ -90,12 +90,12 @@ const SAMPLED: usize = 7;
 fn plain_bits(residuals: &[u32], width: u32, effort: Effort) -> u32 {
     // Magnitudes are about exponentially distributed. With a mean of `m` times the range of the
     // plain bits, leaving these uncoded costs 0.06 / m^2 bits a residual: at most a thirtieth of a
-    // bit.
+    // bit with the compact effort.
     let sampled = residuals.iter().step_by(SAMPLED).map(|residual| u64::from(*residual));
     let mean = sampled.clone().sum::<u64>() / sampled.count().max(1) as u64;
     let enough = match effort {
         Effort::Compact => [(8, 384), (4, 24), (2, 6), (1, 3)],
-        // The low byte would not be coded anyway.
+        // More bytes for less time: the fast coder would hardly shorten these bits.
         Effort::Fast => [(8, 12), (4, 6), (2, 3), (1, 2)],
     };
     let fits = |(bits, least): &&(u32, u64)| *bits < width && mean >= *least;
@@ -107,8 +107,8 @@ const fn packed_bytes(count: usize, bits: u32) -> usize {
     (count * bits as usize).div_ceil(8)
 }
 
-/// Whether the fields behind those of `count` residuals are 0. At most seven are there: with
-/// others, two frames of one chunk could differ in bits that nothing reads.
+/// Whether the fields behind those of `count` residuals, at most seven, are 0: the encoding is
+/// canonical, so bits that nothing reads have one value.
 fn has_empty_end(packed: &[u8], bits: u32, count: usize) -> bool {
     let fields = packed.len() * 8 / bits.max(1) as usize;
     (count..fields).all(|field| {
@@ -185,8 +185,8 @@ impl Scratch {
             scratch
         };
         let above = &above[..=layout.whole];
-        let any = above[layout.whole].iter().fold(0, |any, byte| any | byte);
-        if rest_bits != 8 * layout.whole as u32 + u8::BITS - any.leading_zeros() {
+        let or_of_all = above[layout.whole].iter().fold(0, |or, byte| or | byte);
+        if rest_bits != 8 * layout.whole as u32 + u8::BITS - or_of_all.leading_zeros() {
             return Err(ChunkError::Content("the width is not that of the widest residual"));
         }
         match plain {
@@ -339,7 +339,7 @@ mod tests {
             let mask = ((1u64 << width) - 1) as u32;
             let residuals: Vec<u32> = (0..count).map(|index| mix(seed ^ index as u32) & mask).collect();
             // The widest of a few may be narrower than the requested width.
-            let width = super::width(residuals.iter().fold(0, |any, residual| any | residual));
+            let width = super::width(residuals.iter().fold(0, |or, residual| or | residual));
             for kernel in Kernel::available() {
                 for effort in [Effort::Fast, Effort::Compact] {
                     let mut payload = Vec::new();

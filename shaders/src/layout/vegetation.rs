@@ -246,7 +246,7 @@ pub struct Field {
     pub tree_grid_cells: u32,
 }
 
-/// Trees beyond the range of single culling; `shared/far_trees.wesl` documents each field.
+/// Trees beyond the range of per-tree culling; `shared/far_trees.wesl` documents each field.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 pub struct FarTrees {

@@ -1,4 +1,4 @@
-//! Per-chunk words of the shaders: the only place that packs them.
+//! Per-chunk words of the shaders. Those of the seams are packed by [`ChunkWords::seam_words`].
 
 use crate::cache::Resident;
 use crate::camera::Eye;
@@ -10,12 +10,14 @@ use terrain::constants::UNITS_PER_METRE;
 #[must_use]
 pub fn chunk_words(drawn: &Drawn, chunk: &Resident, parent: &Resident) -> ChunkWords {
     let [edges, corners, inside] = ChunkWords::seam_words(&drawn.seams);
+    // The quarter of the parent that the chunk covers, in bits 8 and 9.
     let (east, south) = drawn.key.quarter();
     let place = u32::from(drawn.key.level()) | ((east as u32) << 8) | ((south as u32) << 9);
     ChunkWords { slot: chunk.slot, parent_slot: parent.slot, edges, corners, inside, place }
 }
 
-/// The instance of a quarter of a drawn chunk, 0 or 1 east and 0 or 1 south.
+/// The instance of a quarter of a drawn chunk, 0 or 1 east and 0 or 1 south: bits 10 and 11 of
+/// [`ChunkWords::place`]. Not the quarter of the parent that the chunk covers.
 #[must_use]
 pub fn terrain_instance(
     eye: &Eye,

@@ -1,4 +1,4 @@
-//! Passes and buffers of the trees beyond the range of single culling: placing on the GPU, one
+//! Passes and buffers of the trees beyond the range of per-tree culling: placing on the GPU, one
 //! indirect draw.
 
 use crate::features::terrain::pool::ChunkPool;

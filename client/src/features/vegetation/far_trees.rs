@@ -1,4 +1,4 @@
-//! Trees beyond the range of single culling: which patches of cells are looked at in a frame.
+//! Trees beyond the range of per-tree culling: which patches of cells are looked at in a frame.
 //!
 //! A patch is left out only if it is out of range, outside the view, or has no density. Nothing is
 //! tested for occlusion: far trees are a quad each, and the depth test is cheaper.
@@ -47,7 +47,8 @@ pub struct FarTreeFrame {
     pub chunks: Vec<OccluderChunk>,
     /// Of each patch, nearest first: its chunk, its column and row in the grid (16 bits each).
     pub patches: Vec<[u32; 2]>,
-    /// Patches without room, the farthest ones.
+    /// Patches without room: the farthest ones beyond [`MAX_FAR_PATCHES`], and all those of drawn
+    /// chunks beyond [`MAX_FAR_CHUNKS`].
     pub patches_lost: u32,
 }
 

@@ -11,7 +11,7 @@
 //! | [`tree_cells`] | the trees around the eye in cells, for their shadows |
 //! | [`prepare`] | what all vertices of a visible clump share, once a frame |
 //! | [`draw`] | indirect draws of visible clumps |
-//! | [`far_trees`] | trees beyond the range of single culling: patches of a frame |
+//! | [`far_trees`] | trees beyond the range of per-tree culling: patches of a frame |
 //! | [`far_tree_pass`] | their passes and buffers |
 //! | [`renderer`] | passes and buffers of all species |
 

@@ -52,7 +52,7 @@ const CROWN_M: f64 = 4.5;
 const LEAST_CROWN_PX: f64 = 3.0;
 
 /// Each tree is known at least up to here, metres, in images with fewer pixels too; at most as far as
-/// trees are culled singly.
+/// trees are culled one by one.
 const LEAST_KNOWN_M: f64 = 500.0;
 
 /// Factor of the near-plane distance inside which occlusion is not tested: covers targets off the
@@ -66,7 +66,7 @@ pub struct VegetationFrame {
     pub grid: OcclusionGrid,
     /// Species of this frame, grass first.
     pub species: Vec<SpeciesParams>,
-    /// Trees beyond the range of single culling.
+    /// Trees beyond the range of per-tree culling.
     pub far_trees: Option<FarTreeFrame>,
     /// The settings of the frame.
     pub settings: VegetationSettings,

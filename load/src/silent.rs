@@ -1,4 +1,4 @@
-//! An idle client (`--silent`): it opens the WebSocket and sends no Hello, or sends one view and
+//! A silent client (`--silent`): it opens the WebSocket and sends no Hello, or sends one view and
 //! then nothing more.
 //!
 //! It reads all bytes but answers no ping, so only its inactivity can be the reason for a close,
@@ -23,9 +23,9 @@ const ANYWHERE: Start = Start { x: 0, z: 0, inland: (i16::MAX as i32, 0) };
 /// Bytes read at once.
 const BUFFER: usize = 4096;
 
-/// Runs an idle client until the server closes the connection or the run ends.
+/// Runs a silent client until the server closes the connection or the run ends.
 pub async fn run<D: Dial>(task: &Task<'_, D>) {
-    match task.until(task.end, stay_idle(task)).await {
+    match task.until(task.end, stay_silent(task)).await {
         Some(Ok(why)) => task.counters.closed(&why),
         Some(Err(SessionEnd::NotAdmitted { problem, .. } | SessionEnd::Unreachable(problem))) => {
             task.counters.refused(&problem);
@@ -40,7 +40,7 @@ pub async fn run<D: Dial>(task: &Task<'_, D>) {
 }
 
 /// Connects and waits for the close. Returns its reason.
-async fn stay_idle<D: Dial>(task: &Task<'_, D>) -> Result<String, SessionEnd> {
+async fn stay_silent<D: Dial>(task: &Task<'_, D>) -> Result<String, SessionEnd> {
     let mut socket = connect(task).await?;
     task.admitted();
     if task.index % 2 == 1 {
