@@ -1,7 +1,8 @@
 //! A server with a hard limit of memory, far more clients than it can serve, and then few again;
-//! and clients beyond its memory mark (`mark`).
+//! clients beyond its memory mark (`mark`), and clients of one address there (`one_address`).
 
 mod mark;
+mod one_address;
 
 use crate::Plan;
 use crate::cgroup::Cgroup;
@@ -54,11 +55,14 @@ const POLITE_LENGTH: Duration = Duration::from_secs(5);
 /// Time for the server to end its sessions.
 const SETTLE: Duration = Duration::from_secs(15);
 
+/// Longest time until the server is ready again.
+const READY_WAIT: Duration = Duration::from_secs(60);
+
 /// Different chunks: several times what the cache holds.
 const CHUNKS: usize = 128 * 1024;
 
-/// Runs the benchmark once, with smaller limits twice more and as a control, and the clients of
-/// `mark` with the memory mark and without.
+/// Runs the benchmark once, with smaller limits twice more and as a control, the clients of `mark`
+/// with the memory mark and without, and those of `one_address`.
 pub async fn run(plan: &Plan) -> Result<Value> {
     let length = Duration::from_secs(plan.seconds) * LENGTH;
     let land = Land::new(WORLD_SEED);
@@ -66,12 +70,14 @@ pub async fn run(plan: &Plan) -> Result<Value> {
     let many = async |server: &ServerProcess| load(server, &keys, length).await;
     let short = async |server: &ServerProcess| load(server, &keys, SMALL_LENGTH).await;
     let unread = async |server: &ServerProcess| mark::load(server, &keys).await;
+    let one_address = async |server: &ServerProcess| one_address::load(server, &keys).await;
     let limited = under(&plan.launch, LIMIT, &[], many).await?;
     let small = under(&plan.launch, SMALL_LIMIT, &[], short).await?;
     let large = under(&plan.launch, SMALL_LIMIT, &LARGE_CACHE, short).await?;
     let control = under(&plan.launch, TINY_LIMIT, &[], short).await?;
     let mark = under(&plan.launch, mark::LIMIT, &[], unread).await?;
     let without_mark = under(&plan.launch, mark::LIMIT, &mark::WITHOUT, unread).await?;
+    let one_address = under(&plan.launch, mark::LIMIT, &[], one_address).await?;
     Ok(json!({
         "clients": CLIENTS,
         "seconds": length.as_secs(),
@@ -83,6 +89,7 @@ pub async fn run(plan: &Plan) -> Result<Value> {
         "control": control,
         "mark": mark,
         "without_mark": without_mark,
+        "one_address": one_address,
     }))
 }
 
@@ -151,16 +158,30 @@ async fn load(server: &ServerProcess, keys: &Arc<[ChunkKey]>, length: Duration) 
         all += client.await.context("a client failed")?;
     }
     clients.shutdown_background();
+    let ready_s = ready_after(server.address).await?;
     tokio::time::sleep(SETTLE).await;
     let after = polite(for_after, Instant::now() + POLITE_LENGTH).await?;
     Ok(json!({
         "chunks": all.chunks,
         "refused": all.refused,
+        "ready_s": ready_s,
         "p99_before_ms": before.p99_ms(),
         "p99_after_ms": after.p99_ms(),
         "refused_after": after.refused,
         "chunks_share_after": after.chunks as f64 / before.chunks as f64,
     }))
+}
+
+/// The time until the server is ready, s; none if that takes more than a minute.
+async fn ready_after(address: SocketAddr) -> Result<Option<f64>> {
+    let start = Instant::now();
+    while mark::is_marked(address).await? {
+        if start.elapsed() > READY_WAIT {
+            return Ok(None);
+        }
+        tokio::time::sleep(Duration::from_millis(100)).await;
+    }
+    Ok(Some(start.elapsed().as_secs_f64()))
 }
 
 async fn connect(index: usize, address: SocketAddr, receive: Option<u32>) -> Result<Connection> {
@@ -210,7 +231,8 @@ pub fn bars(figures: &Value) -> Vec<Bar> {
         ),
         Bar::reported("the same: the most memory", of("limited/peak_mib"), "MiB"),
         Bar::at_least("the same: refused requests", of("limited/refused"), "", 1.0),
-        Bar::none("the same: requests refused 15 s after it", of("limited/refused_after")),
+        Bar::at_most("the same: time until /readyz has 200 after it", of("limited/ready_s"), "s", 30.0),
+        Bar::none("the same: requests refused 15 s after that", of("limited/refused_after")),
         Bar::at_least(
             "the same: chunks of polite clients after over before",
             of("limited/chunks_share_after"),
@@ -224,7 +246,8 @@ pub fn bars(figures: &Value) -> Vec<Bar> {
     ];
     rows.extend(mark::bars(figures.get("mark").unwrap_or(&Value::Null)));
     let killed = at(figures, "without_mark/killed");
-    rows.push(Bar::at_least("192 MiB and these clients without the mark: killed (control)", killed, "", 1.0));
+    rows.extend(one_address::bars(figures.get("one_address").unwrap_or(&Value::Null)));
+    rows.push(Bar::at_least("192 MiB and 900 clients without the mark: killed (control)", killed, "", 1.0));
     rows
 }
 
@@ -236,6 +259,7 @@ pub fn notes(figures: &Value) -> Vec<String> {
                 {small/refused:.0} refused.";
     let mut notes = vec![bars::figures::fill(line, figures)];
     notes.extend(mark::notes(figures.get("mark").unwrap_or(&Value::Null)));
+    notes.extend(one_address::notes(figures.get("one_address").unwrap_or(&Value::Null)));
     notes
 }
 
@@ -250,18 +274,21 @@ mod tests {
             "seconds": 600,
             "limited": {
                 "is_running": true, "killed": 0, "peak_mib": 300.0, "refused": 1000, "refused_after": 0,
-                "chunks_share_after": 1.0,
+                "chunks_share_after": 1.0, "ready_s": 10.0,
             },
             "small": { "is_running": true, "killed": 0, "peak_mib": 90.0, "error": null },
             "large_cache": { "is_running": true, "killed": 0, "error": null },
             "control": { "killed": 1 },
             "mark": mark::tests::good(),
             "without_mark": { "killed": 1 },
+            "one_address": one_address::tests::good(),
         });
         let bad = [
             ("/limited/killed", json!(1)),
             ("/limited/is_running", json!(false)),
             ("/limited/refused", json!(0)),
+            ("/limited/ready_s", json!(31)),
+            ("/limited/ready_s", json!(null)),
             ("/limited/refused_after", json!(2)),
             ("/limited/chunks_share_after", json!(0.9)),
             ("/small/killed", json!(1)),
@@ -275,7 +302,7 @@ mod tests {
         check(bars, &good, &bad);
         let of_the_long_load = |figures: &Value| {
             // The others have a length of their own.
-            bars(figures).into_iter().take(5).collect::<Vec<_>>()
+            bars(figures).into_iter().take(6).collect::<Vec<_>>()
         };
         check_without_peers(of_the_long_load, &good, "/seconds", json!(599));
     }

@@ -10,7 +10,7 @@ use crate::config::ServerConfig;
 use crate::connections::{ConnectionFailure, ConnectionState};
 use crate::http;
 use crate::limits::write_timeout::WriteTimeoutStream;
-use crate::memory::mark;
+use crate::memory::{self, mark};
 use crate::proxy::proxy_protocol;
 use crate::reload;
 use crate::session::end::EndReason;
@@ -73,9 +73,16 @@ pub async fn run(
     let address = listener.local_addr().map_or_else(|_| "unknown".into(), |address| address.to_string());
     tracing::info!(%address, world_seed = state.config.world_seed, digest = %state.offer.digest, "listening");
 
-    let (cache_mib, memory) = (state.config.cache_bytes >> 20, state.config.memory.as_ref());
-    let memory = memory.map_or_else(|| "unknown".into(), ToString::to_string);
-    tracing::info!(cache_mib, memory, "chunk cache, and memory that this process may use");
+    let (cache_bytes, limit) = (state.config.cache_bytes, state.config.memory.as_ref());
+    let memory = limit.map_or_else(|| "unknown".into(), ToString::to_string);
+    tracing::info!(
+        cache_mib = cache_bytes >> 20,
+        memory,
+        "chunk cache, and memory that this process may use"
+    );
+    if !memory::has_room_for_cache(limit, cache_bytes) {
+        tracing::warn!("the chunk cache may exceed the memory: it will be cleared often; reduce --cache-mb");
+    }
     if let Some(mechanism) = state.config.without {
         tracing::warn!(?mechanism, "a mechanism against overload is turned off: for measurements only");
     }

@@ -126,6 +126,7 @@ impl SessionStats {
 pub struct OpenSession {
     stats: Arc<SessionStats>,
     number: u64,
+    site: Option<IpAddr>,
     sessions: OpenSessions,
 }
 
@@ -138,20 +139,15 @@ impl OpenSession {
 
     /// The site of its client.
     #[must_use]
-    pub fn site(&self) -> Option<IpAddr> {
-        lock(&self.sessions.shared.sessions)
-            .by_number
-            .get(&self.number)
-            .and_then(|registered| registered.site)
+    pub const fn site(&self) -> Option<IpAddr> {
+        self.site
     }
-}
 
-impl OpenSession {
     /// Notes that the handshake is done: the client has taken its place, and another session may be
     /// displaced for its site at once.
     pub fn set_welcomed(&self) {
         if !self.stats.is_welcomed.swap(true, Ordering::Relaxed) {
-            lock(&self.sessions.shared.waiting).remove(&self.site());
+            lock(&self.sessions.shared.waiting).remove(&self.site);
         }
     }
 }
@@ -171,6 +167,15 @@ impl Drop for OpenSession {
             sessions.sites.remove(session.site, self.number);
         }
     }
+}
+
+/// How many sessions end for lack of memory.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Shed {
+    /// At most so many.
+    pub count: usize,
+    /// Whether the limit is close: then so many end, whatever their sites have.
+    pub is_critical: bool,
 }
 
 /// All open sessions.
@@ -210,12 +215,19 @@ impl OpenSessions {
     #[must_use]
     pub fn register(&self, number: u64, client: Option<IpAddr>) -> OpenSession {
         let stats = Arc::new(SessionStats::default());
-        let registered = Registered { stats: Arc::clone(&stats), site: client.map(client_site) };
+        let site = client.map(client_site);
+        let registered = Registered { stats: Arc::clone(&stats), site };
         let mut sessions = lock(&self.shared.sessions);
-        sessions.sites.insert(registered.site, number);
+        sessions.sites.insert(site, number);
         sessions.by_number.insert(number, registered);
         drop(sessions);
-        OpenSession { stats, number, sessions: self.clone() }
+        OpenSession { stats, number, site, sessions: self.clone() }
+    }
+
+    /// Sessions of the site of a client that were not chosen to end.
+    #[must_use]
+    pub fn held(&self, client: Option<IpAddr>) -> usize {
+        lock(&self.shared.sessions).sites.count(client.map(client_site))
     }
 
     /// Number of open sessions.
@@ -224,9 +236,10 @@ impl OpenSessions {
         lock(&self.shared.sessions).by_number.len()
     }
 
-    /// Ends up to this many sessions ([`SessionStats::ends`]), first of the sites that have the
-    /// most, among equals the newest. Returns how many end.
-    pub fn shed(&self, count: usize) -> usize {
+    /// Ends sessions ([`SessionStats::ends`]), first of the sites that have the most, among equals the
+    /// newest. The only one of its site ends where all are, or memory is critical. Returns how many
+    /// end.
+    pub fn shed(&self, Shed { count, is_critical }: Shed) -> usize {
         if count == 0 {
             return 0;
         }
@@ -244,6 +257,9 @@ impl OpenSessions {
             ranks.zip(&*by_number).map(|(rank, (number, of))| (rank, *number, of)).collect();
         ended.sort_unstable_by_key(|(rank, number, _)| Reverse((*rank, *number)));
         ended.truncate(count);
+        if !is_critical && ended.first().is_some_and(|(rank, ..)| *rank > 0) {
+            ended.retain(|(rank, ..)| *rank > 0);
+        }
         for (_, number, session) in &ended {
             session.stats.end(Ending::Memory);
             sites.remove(session.site, *number);
@@ -309,8 +325,8 @@ mod tests {
         let client = |number: u64| Some(IpAddr::from([10, 0, 0, if number < 6 { 1 } else { number as u8 }]));
         let open: Vec<_> =
             (1..=8).map(|number| (number, sessions.register(number, client(number)))).collect();
-        let ended = async |count| {
-            let shed = sessions.shed(count);
+        let ended = async |count, is_critical| {
+            let shed = sessions.shed(Shed { count, is_critical });
             let mut ended = Vec::new();
             for (number, stats) in &open {
                 if stats.ends().now_or_never().is_some() {
@@ -320,9 +336,10 @@ mod tests {
             assert_eq!(shed, ended.len());
             ended
         };
-        assert_eq!(ended(2).await, [4, 5]);
-        assert_eq!(ended(5).await, [2, 3, 4, 5, 8]);
-        assert_eq!(ended(0).await, [0; 0]);
+        assert_eq!(ended(2, false).await, [4, 5]);
+        assert_eq!(ended(8, false).await, [2, 3, 4, 5], "none that is the only one of its site");
+        assert_eq!(ended(5, true).await, [2, 3, 4, 5, 8]);
+        assert_eq!(ended(0, true).await, [0; 0]);
     }
 
     #[tokio::test]

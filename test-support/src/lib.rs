@@ -2,9 +2,13 @@
 
 pub mod chunk_fault;
 pub mod counting_allocator;
+#[cfg(unix)]
+pub mod memory_group;
 pub mod random;
 
 pub use chunk_fault::ChunkFault;
+#[cfg(unix)]
+pub use memory_group::MemoryGroup;
 pub use random::Random;
 
 use protocol::view::View;

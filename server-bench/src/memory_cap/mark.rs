@@ -13,7 +13,7 @@ use protocol::limits::{MAX_CREDITS, MAX_VIEW_ESTIMATE, MAX_VIEWPORT};
 use protocol::message::ClientMessage;
 use protocol::view::View;
 use serde_json::{Value, json};
-use std::net::SocketAddr;
+use std::net::{IpAddr, SocketAddr};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
@@ -38,8 +38,8 @@ const RECEIVE_BUFFER: u32 = 4096;
 
 /// Length of the load, of a session that the server does not end, and between two looks at
 /// `/readyz`.
-const LENGTH: Duration = Duration::from_secs(60);
-const SESSION: Duration = Duration::from_secs(15);
+pub const LENGTH: Duration = Duration::from_secs(60);
+pub const SESSION: Duration = Duration::from_secs(15);
 const INTERVAL: Duration = Duration::from_millis(200);
 
 /// Time between two attempts to begin a session at the end of the load.
@@ -79,7 +79,7 @@ pub async fn load(server: &ServerProcess, keys: &Arc<[ChunkKey]>) -> Result<Valu
         clients.spawn(async move {
             while Instant::now() < end + MARK_WAIT {
                 let until = (end + MARK_WAIT).min(Instant::now() + SESSION);
-                match unread(index, address, &requested, until).await {
+                match unread(loopback(index), index, address, &requested, until).await {
                     Ok(()) => _ = counts.accepted.fetch_add(1, Ordering::Relaxed),
                     Err(error) if format!("{error:#}").contains(" 503 ") => {
                         counts.rejected.fetch_add(1, Ordering::Relaxed);
@@ -139,18 +139,25 @@ async fn is_rejected(address: SocketAddr) -> bool {
     connected.is_err_and(|error| format!("{error:#}").contains(" 503 "))
 }
 
-/// Whether the server says that it is beyond its mark.
-async fn is_marked(address: SocketAddr) -> Result<bool> {
+/// Whether the server says that it is not ready for lack of memory.
+pub async fn is_marked(address: SocketAddr) -> Result<bool> {
     let (_, body) = answer(address, "/readyz").await.context("/readyz")?;
     Ok(String::from_utf8_lossy(&body).contains("memory"))
 }
 
-/// One session that sends the largest view, requests all that it may and reads nothing.
+/// One session from an address that sends the largest view, requests all that it may and reads
+/// nothing. Sessions of different numbers request different chunks.
 ///
 /// # Errors
 /// There is no session; ` 503 ` is in the text of a rejected one.
-async fn unread(index: usize, address: SocketAddr, keys: &[ChunkKey], until: Instant) -> Result<()> {
-    let stream = Either::Left(open_from(loopback(index), address, Some(RECEIVE_BUFFER)).await?);
+pub async fn unread(
+    source: IpAddr,
+    index: usize,
+    address: SocketAddr,
+    keys: &[ChunkKey],
+    until: Instant,
+) -> Result<()> {
+    let stream = Either::Left(open_from(source, address, Some(RECEIVE_BUFFER)).await?);
     let mut connection = Connection::over(stream, address).await?;
     let start = index * TOGETHER % keys.len();
     let own: Vec<_> = keys.iter().copied().cycle().skip(start).take(MAX_CREDITS as usize / 4).collect();
@@ -195,7 +202,7 @@ pub fn bars(figures: &Value) -> Vec<Bar> {
             "",
             1.0,
         )
-        .with_note("counts only if the server was beyond its memory mark while the load ran"),
+        .with_note("counts only if the server was not ready for lack of memory while the load ran"),
         Bar::none("the same: processes killed at the mark", at(figures, "killed").filter(|_| is_running)),
         Bar::reported("the same: most memory at the mark", at(figures, "peak_mib"), "MiB"),
         Bar::at_most("the same: time until sessions begin again", at(figures, "recovery_s"), "s", 60.0)

@@ -31,7 +31,7 @@ pub async fn readyz(State(state): State<Arc<ServerState>>) -> Response {
     if state.generation.load() > READY_LOAD {
         return (StatusCode::SERVICE_UNAVAILABLE, "generation queue is nearly full\n").into_response();
     }
-    if state.memory.is_reached() {
+    if !state.memory.is_ready() {
         return (StatusCode::SERVICE_UNAVAILABLE, "memory is nearly used up\n").into_response();
     }
     "ready\n".into_response()

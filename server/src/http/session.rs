@@ -17,7 +17,9 @@ use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use data_encoding::BASE64URL_NOPAD;
 use protocol::SUBPROTOCOL;
+use protocol::server::ServerOffer;
 use std::borrow::Cow;
+use std::net::IpAddr;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Instant;
@@ -65,11 +67,8 @@ pub async fn stream(State(state): State<Arc<ServerState>>, mut request: Request)
         return Problem::new(ProblemKind::NoSession, sentence).into_response();
     }
     let Ok(permit) = Arc::clone(&state.session_permits).try_acquire_owned() else {
-        // A place becomes free for the retry; it is not reserved. Not for a client that may have no
-        // token: it would end the sessions of those that have one.
-        let is_admitted = offer.token.is_none() && !state.memory.is_exceeded();
-        if is_admitted && state.sessions_per_ip.try_acquire(peer, 0).is_some() {
-            let _ = state.open_sessions.displace_for(peer, Instant::now());
+        if state.memory.is_below() && state.sessions_per_ip.try_acquire(peer, 0).is_some() {
+            displace_for(peer, &offer, &state);
         }
         return Problem::new(ProblemKind::NoSession, "no session is free, retry later").into_response();
     };
@@ -80,7 +79,10 @@ pub async fn stream(State(state): State<Arc<ServerState>>, mut request: Request)
         return Problem::new(ProblemKind::AddressFull, sentence).into_response();
     };
     // Last: a client that is rejected takes no room.
-    if !state.memory.admits(peer) {
+    if !state.memory.admits(peer, state.open_sessions.held(peer)) {
+        if state.memory.is_scarce() {
+            displace_for(peer, &offer, &state);
+        }
         let sentence = "the server has little memory left, retry later";
         return Problem::new(ProblemKind::NoSession, sentence).into_response();
     }
@@ -103,6 +105,15 @@ pub async fn stream(State(state): State<Arc<ServerState>>, mut request: Request)
         free_places((permit, ip_permit), ended.ending, ended.backoff_until, &state.draining).await;
     });
     response
+}
+
+/// Ends a session of a site that has more, for a client that gets none. Its place and its memory
+/// become free for the retry; they are not reserved. Not for a client that may have no token: it would
+/// end the sessions of those that have one.
+fn displace_for(client: Option<IpAddr>, offer: &ServerOffer, state: &ServerState) {
+    if offer.token.is_none() {
+        let _ = state.open_sessions.displace_for(client, Instant::now());
+    }
 }
 
 /// Frees the places of a session that has ended, once its refusal back-off has ended: otherwise its
@@ -173,7 +184,6 @@ mod tests {
     use super::*;
     use crate::limits::per_ip::PerIpLimiter;
     use futures_util::FutureExt;
-    use std::net::IpAddr;
     use std::pin::pin;
     use std::time::Duration;
     use tokio::sync::Semaphore;

@@ -71,6 +71,12 @@ impl MemoryLimit {
         Self { bytes, group: None }
     }
 
+    /// The limit of a control group, version 2, bytes, whatever its folder says.
+    #[must_use]
+    pub const fn of_group(folder: PathBuf, bytes: u64) -> Self {
+        Self { bytes, group: Some(Group { folder, version: &V2 }) }
+    }
+
     fn from_files(read: Read<'_>) -> Option<Self> {
         let machine = field(&read(Path::new("/proc/meminfo"))?, "MemTotal:")? * 1024;
         let mut least = Self::of_machine(machine);
@@ -124,9 +130,12 @@ impl OpenFiles {
             Entry::Vacant(entry) => entry.insert(File::open(path).ok()?),
         };
         let mut text = String::new();
-        file.rewind().ok()?;
-        file.read_to_string(&mut text).ok()?;
-        Some(text)
+        if file.rewind().and_then(|()| file.read_to_string(&mut text)).is_ok() {
+            return Some(text);
+        }
+        // Of a group that was removed and made again: the next read opens it.
+        files.remove(path);
+        None
     }
 }
 

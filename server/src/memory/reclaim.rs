@@ -1,5 +1,5 @@
 //! What a server gives back when memory is short: the caches where few sessions have room below the
-//! memory mark, or the server is not ready, and from the lower share on the free pages of its threads.
+//! memory mark, and from a lower share on the free pages of its threads.
 
 use super::heaps;
 use std::time::{Duration, Instant};
@@ -41,8 +41,6 @@ pub(super) enum Pressure {
     Low,
     /// It is above the lower share.
     Near,
-    /// The same, and the mark was reached: the server is not ready.
-    Unready,
     /// Few sessions have room below the mark.
     NoRoom,
     /// It is beyond the mark.
@@ -102,7 +100,6 @@ impl Reclaimer {
             }
             Pressure::Near => (None, EARLY_RETURN_INTERVAL),
             // Seldom: sessions may hold the memory, and caches are worth something in this time.
-            Pressure::Unready => (Some(REFILL), EARLY_RETURN_INTERVAL),
             Pressure::NoRoom => (Some(REFILL), RETURN_INTERVAL),
             Pressure::Exceeded => (Some(CLEAR_INTERVAL), RETURN_INTERVAL),
         };
@@ -126,7 +123,7 @@ mod tests {
 
     #[test]
     fn caches_are_cleared_where_room_lacks_and_pages_returned_from_the_lower_share_on() {
-        use Pressure::{Exceeded, Low, Near, NoRoom, Unready};
+        use Pressure::{Exceeded, Low, Near, NoRoom};
         let start = Instant::now();
         let mut reclaimer = Reclaimer::default();
         let mut due = |pressure, ms| reclaimer.due(pressure, start + Duration::from_millis(ms));
@@ -148,8 +145,6 @@ mod tests {
         assert_eq!(due(Low, 26_100), Due::Nothing);
         assert_eq!(due(Exceeded, 27_024), first, "the caches were what had filled the memory");
         assert_eq!(due(Exceeded, 28_024), again);
-        assert_eq!(due(Unready, 38_023), Due::Pages);
-        assert_eq!(due(Unready, 38_024), first, "a server that is idle becomes ready");
-        assert_eq!(due(Near, 90_000), Due::Pages, "a ready one keeps its caches");
+        assert_eq!(due(Near, 90_000), Due::Pages, "with room the caches stay");
     }
 }

@@ -6,6 +6,7 @@ use protocol::message::ServerMessage;
 use protocol::{CloseCode, control};
 use server::ServerConfig;
 use server::limits::rate_limit::TokenBucket;
+use server::open_sessions::Shed;
 use server::state::ServerState;
 use std::net::IpAddr;
 use std::sync::Arc;
@@ -14,6 +15,9 @@ use tokio::time::sleep;
 
 /// An empty text message, which is a violation.
 const TEXT: [u8; 6] = [0x81, 0x80, 0, 0, 0, 0];
+
+/// The end of one session for lack of memory.
+const ONE: Shed = Shed { count: 1, is_critical: false };
 
 fn server_state() -> Arc<ServerState> {
     Arc::new(ServerState::new(ServerConfig { threads: 1, ..ServerConfig::default() }).unwrap())
@@ -61,7 +65,7 @@ async fn the_first_reason_of_an_end_stays_where_the_server_cuts_the_end_short() 
         assert_eq!(peer.next().await.expect("a close frame").0, CLOSE);
         let other = Some(IpAddr::from([10, 0, 0, 1]));
         if is_shed {
-            assert_eq!(state.open_sessions.shed(1), 1);
+            assert_eq!(state.open_sessions.shed(ONE), 1);
         } else {
             assert!(state.open_sessions.displace_for(other, Instant::now()));
         }
@@ -87,7 +91,7 @@ async fn the_first_reason_of_an_end_stays_where_memory_lacks_before_the_answers_
         peer.write(batch).await.unwrap();
         sleep(Duration::from_millis(1)).await;
     }
-    assert_eq!(state.open_sessions.shed(1), 1);
+    assert_eq!(state.open_sessions.shed(ONE), 1);
     while state.metrics.sessions.open.get() > 0 {
         sleep(Duration::from_millis(1)).await;
     }

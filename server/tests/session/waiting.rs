@@ -9,6 +9,7 @@ use server::chunk_id::ChunkId;
 use server::generation::{Flow, Generation, Limits};
 use server::limits::rate_limit::TokenBucket;
 use server::mechanism::Mechanism;
+use server::memory::{MemoryLimit, mark};
 use server::source::ChunkSource;
 use server::state::ServerState;
 use std::ops::Range;
@@ -16,7 +17,9 @@ use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 use terrain::{Chunk, ChunkKey, Land, WorldDigest};
+use test_support::MemoryGroup;
 use tokio::time::sleep;
+use tokio_util::task::AbortOnDropHandle;
 
 /// Chunks of one session in generation at once.
 const WINDOW: i64 = 16;
@@ -165,6 +168,37 @@ async fn a_superseded_view_is_counted_once_and_before_anything_is_written() {
         assert_eq!(rejected(&mut peer).await, 0);
     }
     assert_eq!(superseded.get(), 1);
+}
+
+/// On the real clock: the memory is looked at and the view selected meanwhile.
+#[tokio::test]
+async fn a_view_waits_until_it_has_room_below_the_memory_mark() {
+    const MIB: u64 = 1 << 20;
+    let group = MemoryGroup::new(598 * MIB).unwrap();
+    let memory = Some(MemoryLimit::of_group(group.folder().to_owned(), 800 * MIB));
+    let config = ServerConfig { threads: 1, memory, ..ServerConfig::default() };
+    let state = Arc::new(ServerState::new(config).unwrap());
+    let watched = mark::watch(
+        Arc::clone(&state.memory),
+        Arc::clone(&state.metrics),
+        state.open_sessions.clone(),
+        Arc::clone(&state),
+    );
+    let _watched = AbortOnDropHandle::new(tokio::spawn(watched));
+    while state.metrics.limits.memory_used_bytes.get() == 0 {
+        sleep(Duration::from_millis(1)).await;
+    }
+    // That of another session takes the room.
+    let other = state.memory.room_for_view(None).expect("room for one view");
+    let mut peer = Peer::connect(&state, TokenBucket::default()).await;
+    peer.send_message(&ClientMessage::Credit { chunks: 1 }).await;
+    peer.send_message(&ClientMessage::View(view(1))).await;
+    assert_eq!(peer.next_within(Duration::from_millis(300)).await, None);
+    drop(other);
+    let chunk = peer.next_within(Duration::from_secs(10)).await;
+    assert!(chunk.is_some_and(|(opcode, _)| opcode == BINARY), "a chunk of the view");
+    // Its own room is free again.
+    assert!(state.memory.room_for_view(None).is_some());
 }
 
 /// On the real clock: the chunks are made on a thread, and a paused clock would run away meanwhile.

@@ -38,15 +38,18 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
             return false;
         }
         match self.flow.bucket().delay(now) {
-            None => {
-                if let Some(selection) = self.session.take_view() {
+            None if self.session.has_waiting_view() => {
+                self.view_room = self.state.memory.room_for_view(self.stats.site());
+                if self.view_room.is_none() {
+                    self.delay = Some((now + MEMORY_PAUSE, Delay::Memory));
+                } else if let Some(selection) = self.session.take_view() {
                     self.select_view(selection);
                 }
             }
             Some(delay) if self.session.has_waiting_view() => {
                 self.delay = Some((now + delay, Delay::RateLimit));
             }
-            Some(_) => {}
+            _ => {}
         }
         while self.flow.in_flight() < JOB_WINDOW {
             if self.batch == BATCH {
@@ -89,6 +92,7 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
 
     /// Applies a finished selection and cancels what only the previous view needed.
     pub(super) fn apply_view(&mut self, selection: ViewSelection) {
+        self.view_room = None;
         self.stats.set_view(selection.view());
         self.session.apply_view(selection);
         self.cancel_stale();
