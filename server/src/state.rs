@@ -150,6 +150,10 @@ impl ServerState {
 }
 
 impl Reclaim for ServerState {
+    fn stop_views(&self, is_stopped: bool) {
+        self.generation.stop_views(is_stopped);
+    }
+
     fn clear_caches(&self) {
         self.generation.clear_cache();
         self.map.clear_cache();

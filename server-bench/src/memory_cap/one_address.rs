@@ -3,11 +3,12 @@
 
 use super::mark::{LENGTH, SESSION, is_marked, unread};
 use crate::clients::other_thread;
-use crate::connection::{Connection, loopback};
+use crate::connection::{Connection, Received, loopback};
 use crate::server_process::ServerProcess;
 use anyhow::{Context, Result};
 use bars::Bar;
 use bars::figures::{at, fill};
+use protocol::message::ClientMessage;
 use serde_json::{Value, json};
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -24,7 +25,10 @@ const INTERVAL: Duration = Duration::from_millis(200);
 /// Time between two sessions of the other client.
 const PAUSE: Duration = Duration::from_secs(1);
 
-/// Longest time for a chunk in a session.
+/// View distance of the other client, m.
+const VIEW_M: u32 = 1000;
+
+/// Longest time for the chunks of a session.
 const CHUNK_WAIT: Duration = Duration::from_secs(10);
 
 /// Time until the clients have taken the memory.
@@ -35,7 +39,7 @@ const FILL: Duration = Duration::from_secs(10);
 struct Found {
     sessions: u32,
     rejected: u32,
-    /// Longest time from the first attempt to the chunk of a session.
+    /// Longest time from the first attempt to the chunks of a session.
     longest: Duration,
 }
 
@@ -71,7 +75,7 @@ pub async fn load(server: &ServerProcess, keys: &Arc<[ChunkKey]>) -> Result<Valu
     }))
 }
 
-/// Opens sessions until the end, each for one chunk; what it found, and in what share of its attempts
+/// Opens sessions until the end, each for two chunks; what it found, and in what share of its attempts
 /// the server was not ready for lack of memory.
 async fn other(address: SocketAddr, keys: &[ChunkKey], end: Instant) -> Result<(Found, f64)> {
     let (mut found, mut looks, mut marked) = (Found::default(), 0_u32, 0_u32);
@@ -96,13 +100,18 @@ async fn other(address: SocketAddr, keys: &[ChunkKey], end: Instant) -> Result<(
     Ok((found, f64::from(marked) / f64::from(looks)))
 }
 
-/// A session that requests a chunk and ends when it has it.
+/// A session with a view that ends when it has a requested chunk and one of the view.
 async fn one_chunk(address: SocketAddr, key: ChunkKey) -> Result<()> {
     let mut connection = Connection::connect(address).await?;
+    connection.send(&[ClientMessage::View(test_support::view(1, VIEW_M))]).await?;
     connection.request([key], true).await?;
-    let mut has_come = false;
-    while !has_come {
-        connection.receive(|received| has_come |= received.key() == Some(key)).await?;
+    let (mut has_requested, mut has_other) = (false, false);
+    while !(has_requested && has_other) {
+        let take = |received: Received<'_>| {
+            has_requested |= received.key() == Some(key);
+            has_other |= received.key().is_some_and(|received| received != key);
+        };
+        connection.receive(take).await?;
     }
     Ok(())
 }
@@ -118,12 +127,14 @@ pub fn bars(figures: &Value) -> Vec<Bar> {
             at(figures, "killed").filter(|_| is_running),
         ),
         Bar::at_most(
-            "the same: longest time until a client of another address has a chunk",
+            "the same: longest time until a client of another address has chunks",
             at(figures, "longest_s").filter(|_| was_full && is_running),
             "s",
             10.0,
         )
-        .with_note("with each session for one chunk, from the first attempt; counts only if no session had room"),
+        .with_note(
+            "each session has a view and a request, and ends with a chunk of each; from the first attempt; counts only if no session had room",
+        ),
     ]
 }
 

@@ -10,6 +10,7 @@ use super::threads::Threads;
 use super::views::ViewJob;
 use crate::chunk_id::ChunkId;
 use crate::limits::rate_limit::TokenBucket;
+use crate::memory::room::ViewRoom;
 use crate::traces::{self, RequestTrace};
 use bytes::Bytes;
 use protocol::Delivery;
@@ -208,11 +209,12 @@ impl Flow {
 
     /// Selects a view's chunks on the generation threads, in this flow's turns. One at a time;
     /// [`Flow::next_event`] returns the selection.
-    pub fn select(&mut self, selection: ViewSelection, land: Land) {
+    pub fn select(&mut self, selection: ViewSelection, land: Land, room: Option<ViewRoom>) {
         self.add_open(1);
         let (completion, receiver) = oneshot::channel();
         self.selection = Some(receiver);
-        let job = ViewJob { selection, land, bucket: self.bucket.clone(), spent: Duration::ZERO, completion };
+        let (bucket, spent) = (self.bucket.clone(), Duration::ZERO);
+        let job = ViewJob { selection, land, bucket, spent, room, completion };
         let mut queue = self.shared.lock();
         queue.add_view(self.turns, job);
         runner::start(&self.shared, &self.threads, &mut queue);

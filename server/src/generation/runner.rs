@@ -154,10 +154,14 @@ impl Shared {
     }
 
     /// Continues a view within its budget, or until a newly active flow waits: that flow has the
-    /// next turn, and a view can stop between any two steps. A finished selection is sent to its
+    /// next turn, and a view can stop between any two steps. Where views are stopped it waits. A finished selection is sent to its
     /// session; an unfinished one waits for the flow's next turn. A panic fails this view only.
-    fn select_view(&self, path: FlowPath, mut job: Box<ViewJob>, budget_us: i64) {
-        let must_stop = || self.lock().is_next_new(path.site);
+    fn select_view(&self, path: FlowPath, job: Box<ViewJob>, budget_us: i64) {
+        let Some(mut job) = self.lock().keep_stopped(path, job) else { return };
+        let must_stop = || {
+            let queue = self.lock();
+            queue.is_next_new(path.site) || queue.has_stopped_views()
+        };
         let Ok((is_done, spent)) = catch_unwind(AssertUnwindSafe(|| job.run(budget_us, must_stop))) else {
             self.metrics.generation.jobs_failed.inc();
             tracing::error!(view = ?job.selection.view(), "view selection panicked");

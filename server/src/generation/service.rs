@@ -4,6 +4,7 @@ use super::active::ActiveFlows;
 use super::cost::JobCosts;
 use super::flow::Flow;
 use super::queue::{FlowId, FlowPath, Queue};
+use super::runner;
 use super::shared::{Limits, Shared};
 use super::threads::{Mutex, Threads};
 use crate::cache::disk::Disk;
@@ -152,6 +153,17 @@ impl Generation {
     pub fn sharers(&self, flow: &Flow) -> usize {
         let Shared { active, paused, limits, .. } = &*self.shared;
         active.shares(flow.turns()).max(paused.shares(flow.turns())).div_ceil(limits.threads)
+    }
+
+    /// Stops the selection of views, whose tables take memory, or has it go on. Returns how many go
+    /// on.
+    pub fn stop_views(&self, is_stopped: bool) -> usize {
+        let mut queue = self.shared.lock();
+        let count = queue.stop_views(is_stopped);
+        for _ in 0..count.min(self.shared.limits.threads) {
+            runner::start(&self.shared, &self.threads, &mut queue);
+        }
+        count
     }
 
     /// Drops all frames that are cached in memory.

@@ -5,6 +5,7 @@
 //! and answer probes never run it.
 
 use crate::limits::rate_limit::TokenBucket;
+use crate::memory::room::ViewRoom;
 use protocol::server::ViewSelection;
 use std::time::{Duration, Instant};
 use terrain::Land;
@@ -24,6 +25,8 @@ pub struct ViewJob {
     pub bucket: TokenBucket,
     /// Time spent so far.
     pub spent: Duration,
+    /// Its room below the memory mark, free when the selection has ended.
+    pub room: Option<ViewRoom>,
     /// Receives the finished selection; dropped without one if the selection panicked.
     pub completion: oneshot::Sender<ViewSelection>,
 }
@@ -60,7 +63,7 @@ mod tests {
         let (completion, _receiver) = oneshot::channel();
         let (land, bucket) = (Land::new(1), TokenBucket::default());
         let selection = view_selection(1);
-        let mut job = ViewJob { selection, land, bucket, spent: Duration::ZERO, completion };
+        let mut job = ViewJob { selection, land, bucket, spent: Duration::ZERO, room: None, completion };
         let mut turns = 1;
         while !job.run(i64::MAX, || true).0 {
             turns += 1;

@@ -1,5 +1,5 @@
 //! The memory mark: while the process uses more of its memory than a share, no further session
-//! begins, and the server selects no further views and sends no further chunks. The rest is for what
+//! begins, the selection of views stops, and the server sends no further chunks. The rest is for what
 //! open sessions hold. Below the mark as many sessions begin, and as many views are selected at once,
 //! as have room.
 //!
@@ -169,6 +169,7 @@ pub async fn watch(
                 tracing::error!(%limit, "the memory in use cannot be read: no further sessions begin");
             }
             mark.record_unknown();
+            server.stop_views(false);
             continue;
         };
         if was_unknown {
@@ -181,6 +182,7 @@ pub async fn watch(
             room_at = now + ADMISSION;
         }
         mark.record(used, bytes, is_next);
+        server.stop_views(mark.is_exceeded());
 
         let was_ready = mark.has_room.load(Ordering::Relaxed);
         let is_ready = readiness.look(was_ready, room_below(used, bytes), least(bytes), now);

@@ -27,6 +27,9 @@ const EARLY_RETURN_INTERVAL: Duration = Duration::from_secs(5);
 
 /// A server with memory that it can do without.
 pub trait Reclaim: Send + Sync + 'static {
+    /// Stops the selection of views, or has it go on.
+    fn stop_views(&self, is_stopped: bool);
+
     /// Clears the caches in memory.
     fn clear_caches(&self);
 

@@ -85,7 +85,8 @@ impl Room {
         shares.left = room_below(used, limit);
         shares.reserved = kept(limit, RESERVED);
         if is_next {
-            shares.to_begin = shares.left;
+            // The tables of views that are being selected grow until the end.
+            shares.to_begin = shares.left.saturating_sub(shares.views);
             shares.begun.clear();
         }
     }

@@ -12,7 +12,6 @@ mod transmit;
 
 use crate::generation::{Flow, FlowEvent};
 use crate::limits::rate_limit::TokenBucket;
-use crate::memory::room::ViewRoom;
 use crate::open_sessions::{Ending, OpenSession};
 use crate::session::chunk_traces::ChunkTraces;
 use crate::session::end::{EndReason, SessionEnd};
@@ -79,7 +78,6 @@ where
             flow: state.generation.session(stats.site(), bucket),
             message_deadline: MessageDeadline::default(),
             delay: None,
-            view_room: None,
             backoff: RefusalBackoff::new(Instant::now()),
             counted: SessionCounts::default(),
             stats,
@@ -144,8 +142,6 @@ struct Driver<'a, S> {
     flow: Flow,
     /// Until when a view or a chunk waits, if one does, and for what.
     delay: Option<(Instant, Delay)>,
-    /// Room of the view that is being selected.
-    view_room: Option<ViewRoom>,
     /// Limits when the session is read.
     backoff: RefusalBackoff,
     /// When an unfinished message must be complete.
@@ -205,7 +201,6 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
                     match event {
                         FlowEvent::View(selection) => self.apply_view(*selection),
                         FlowEvent::ViewFailed => {
-                            self.view_room = None;
                             self.session.fail_view("the selection of the view failed");
                         }
                         FlowEvent::Chunks(done) => done.into_iter().for_each(|done| self.finish(done)),

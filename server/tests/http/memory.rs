@@ -86,6 +86,7 @@ async fn beyond_the_mark_open_sessions_end_the_newest_first() {
     assert!(!has_to_end(15).await);
     struct Nothing;
     impl Reclaim for Nothing {
+        fn stop_views(&self, _is_stopped: bool) {}
         fn clear_caches(&self) {}
         fn return_pages(&self) {}
     }

@@ -159,8 +159,7 @@ fn page(heading: &Heading<'_>, rows: &[Bar], (runs, all): (&Runs, &Runs), origin
             }
             // A run that failed before this row: it cannot be outvoted by the others.
             (_, figures) if figures.len() < runs.count() && runs.count() > 1 => {
-                let range = if figures.is_empty() { String::new() } else { spread.range() };
-                (Figure::Missing, range, format!("{} of {}", spread.kept, runs.count()))
+                (Figure::Missing, spread.range(), format!("{} of {}", spread.kept, runs.count()))
             }
             (figure, [] | [_]) => {
                 (figure.clone(), String::new(), format!("{} of 1", u32::from(row.is_met())))
@@ -173,10 +172,11 @@ fn page(heading: &Heading<'_>, rows: &[Bar], (runs, all): (&Runs, &Runs), origin
             ),
         };
         let of_all = all.of(&row.name);
-        let kept = match of_all.figures.len() > spread.figures.len().max(1) {
-            true => format!("{kept}; all commits: {} of {}", of_all.kept, of_all.figures.len()),
-            false => kept,
-        };
+        let is_not_measured = kept.is_empty() && of_all.figures.iter().all(|figure| figure.is_nan());
+        let in_all = (of_all.figures.len() > spread.figures.len().max(1) && !is_not_measured)
+            .then(|| format!("all commits: {} of {}", of_all.kept, of_all.figures.len()));
+        let kept = [Some(kept).filter(|kept| !kept.is_empty()), in_all];
+        let kept = kept.into_iter().flatten().collect::<Vec<_>>().join("; ");
         let median = Bar { figure, ..row.clone() };
         let _ = writeln!(page, "| {} | {} | {range} | {kept} |", cell(&row.name), median.cells().join(" | "));
     }
@@ -251,6 +251,36 @@ mod tests {
             "{}",
             pages[3]
         );
+    }
+
+    #[test]
+    fn a_row_without_figures_has_no_range_and_one_that_is_not_measured_no_count() {
+        let machine = machine::Machine { cpu: "CPU".into(), cores: 2, memory_mib: None, os: "OS".into() };
+        let commit = machine::Commit { hash: "abc".into(), is_clean: true };
+        let origin =
+            Origin { machine, date: "2026-01-02".into(), commit, command: "cargo xtask measure x".into() };
+        let heading = Heading { name: "x", adapter: None, notes: &[] };
+        let rows = [
+            Bar::new("time", Some(1.0), "s", Limit::Under(3.0)),
+            Bar::new("size", None, "MiB", Limit::Under(3.0)),
+            Bar::under("on a GPU", None, "ms", 2.0).not_measured_if(true, "needs a GPU"),
+        ];
+        let days = std::env::temp_dir().join(format!("tombolo-record-none-{}", std::process::id()));
+        let _ = std::fs::remove_dir_all(&days);
+        std::fs::create_dir_all(days.join("2026-01-02-cpu")).unwrap();
+        for commit in ["earlier", "abc", "abc"] {
+            runs::append(&days.join("2026-01-02-cpu").join(runs::FILE), "x", commit, &rows).unwrap();
+        }
+        let of = |commit| Runs::of_machine(&days, "cpu", "x", commit).unwrap();
+        let page = page(&heading, &rows, (&of(Some("abc")), &of(None)), &origin);
+        std::fs::remove_dir_all(&days).unwrap();
+        for line in [
+            "| time | 1 s | under 3 s | ok | 1.000 to 1.000 | 2 of 2; all commits: 3 of 3 |",
+            "| size | missing | under 3 MiB | MISSED |  | 0 of 2; all commits: 0 of 3 |",
+            "| on a GPU | not measured | under 2 ms | needs a GPU |  |  |",
+        ] {
+            assert!(page.contains(line), "{page}");
+        }
     }
 
     #[test]

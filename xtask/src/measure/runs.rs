@@ -145,11 +145,11 @@ impl Spread {
         })
     }
 
-    /// Least and largest figure.
+    /// Least and largest figure; empty without any.
     pub fn range(&self) -> String {
         let least = self.figures.iter().copied().fold(f64::INFINITY, f64::min);
         let largest = self.figures.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-        format!("{least:.3} to {largest:.3}")
+        if least > largest { String::new() } else { format!("{least:.3} to {largest:.3}") }
     }
 }
 

@@ -45,6 +45,10 @@ pub struct Queue {
     next_number: u64,
     /// Threads that take turns.
     pub runners: usize,
+    /// Whether no view goes on.
+    has_stopped_views: bool,
+    /// Views whose turns came meanwhile. At most one for each session.
+    stopped_views: Vec<(FlowPath, Box<ViewJob>)>,
 }
 
 /// Work for a thread.
@@ -87,6 +91,8 @@ impl Queue {
             turns: Rotation::default(),
             next_number: 0,
             runners: 0,
+            has_stopped_views: false,
+            stopped_views: Vec::new(),
         }
     }
 
@@ -131,6 +137,40 @@ impl Queue {
     pub fn add_view(&mut self, path: FlowPath, view: ViewJob) {
         self.active_site(path.site).add_view(path.flow, Box::new(view));
         self.add_turn(path.site);
+    }
+
+    /// Stops all views, or has them go on. While they are stopped their flows have turns for chunks.
+    /// Returns how many go on.
+    pub fn stop_views(&mut self, is_stopped: bool) -> usize {
+        self.has_stopped_views = is_stopped;
+        if is_stopped {
+            return 0;
+        }
+        let views = std::mem::take(&mut self.stopped_views);
+        let count = views.len();
+        for (path, view) in views {
+            // Of a session that has ended too: its job ends in the next turn.
+            self.active_site(path.site).add_view(path.flow, view);
+            self.add_turn(path.site);
+        }
+        count
+    }
+
+    /// Whether views are stopped.
+    #[must_use]
+    pub const fn has_stopped_views(&self) -> bool {
+        self.has_stopped_views
+    }
+
+    /// Ends a turn without work on its view if views are stopped: the view waits until they go on.
+    /// Gives the view back otherwise.
+    pub fn keep_stopped(&mut self, path: FlowPath, view: Box<ViewJob>) -> Option<Box<ViewJob>> {
+        if !self.has_stopped_views {
+            return Some(view);
+        }
+        self.stopped_views.push((path, view));
+        self.end_turn(path, 0, None);
+        None
     }
 
     /// Ends a turn that took `more_us` microseconds longer than was charged, with the view that is

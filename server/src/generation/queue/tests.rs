@@ -29,6 +29,7 @@ fn view() -> ViewJob {
     let (completion, _) = oneshot::channel();
     ViewJob {
         selection: view_selection(1),
+        room: None,
         land: terrain::Land::new(1),
         bucket: TokenBucket::default(),
         spent: Duration::ZERO,

@@ -172,14 +172,41 @@ async fn a_panic_fails_its_own_view_only() {
     let metrics = Arc::new(Metrics::default());
     let service = Generation::new(ProceduralSource::new(land), limits, Arc::clone(&metrics)).unwrap();
     let (mut bad, mut good) = (service.flow(), service.flow());
-    bad.select(view_selection(666), land);
-    good.select(view_selection(1), land);
+    bad.select(view_selection(666), land, None);
+    good.select(view_selection(1), land, None);
     assert!(matches!(bad.next_event().await, FlowEvent::ViewFailed));
     assert!(matches!(good.next_event().await, FlowEvent::View(_)));
     assert_eq!(metrics.generation.jobs_failed.get(), 1);
     // The session of the failed view goes on.
-    bad.select(view_selection(2), land);
+    bad.select(view_selection(2), land, None);
     assert!(matches!(bad.next_event().await, FlowEvent::View(_)));
+}
+
+#[tokio::test]
+async fn a_view_that_is_stopped_goes_on_where_it_was_and_chunks_do_not_wait_for_it() {
+    let land = Land::new(1);
+    let limits =
+        Limits { threads: 1, cache_bytes: 1 << 20, jobs: 10, deadline: Duration::MAX, without: None };
+    let metrics = Arc::new(Metrics::default());
+    let service = Generation::new(ProceduralSource::new(land), limits, Arc::clone(&metrics)).unwrap();
+    let (mut stopped, mut other) = (service.flow(), service.flow());
+    service.stop_views(true);
+    stopped.select(view_selection(1), land, None);
+    for x in 0..3 {
+        let chunk = ChunkRequest { key: ChunkKey::new(0, x, 0).unwrap(), request: None, priority: 0 };
+        for flow in [&mut stopped, &mut other] {
+            flow.request(chunk, Delivery::Exact);
+            assert!(matches!(flow.next_event().await, FlowEvent::Chunks(_)));
+        }
+    }
+    assert_eq!(metrics.generation.view_busy_seconds.get(), 0.0);
+    // That of a flow that has ended is dropped.
+    let mut ended = service.flow();
+    ended.select(view_selection(2), land, None);
+    drop(ended);
+    service.stop_views(false);
+    assert!(matches!(stopped.next_event().await, FlowEvent::View(_)));
+    assert_eq!(service.stop_views(false), 0);
 }
 
 /// The bucket's rate is 0: what it lacks is all that was charged.
@@ -194,7 +221,7 @@ async fn the_selection_of_a_view_is_charged_with_the_time_that_the_metric_counts
     let bucket = RateLimiter::new(Some(0)).bucket(client);
     let mut flow = service.session(client, bucket.clone());
     assert_eq!((bucket.tokens(), metrics.generation.view_busy_seconds.get()), (0.0, 0.0));
-    flow.select(view_selection(1), land);
+    flow.select(view_selection(1), land, None);
     assert!(matches!(flow.next_event().await, FlowEvent::View(_)));
     let (charged_us, busy_us) = (-bucket.tokens(), metrics.generation.view_busy_seconds.get() * 1e6);
     assert!(charged_us > 0.0 && busy_us > 0.0, "{charged_us}, {busy_us}");

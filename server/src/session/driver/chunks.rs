@@ -3,6 +3,7 @@
 use super::{Delay, Driver};
 use crate::generation::{Completion, GenerationError};
 use crate::mechanism::Mechanism;
+use crate::memory::room::ViewRoom;
 use protocol::message::RefusalReason;
 use protocol::server::{Next, ViewSelection};
 use std::time::Duration;
@@ -39,11 +40,12 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
         }
         match self.flow.bucket().delay(now) {
             None if self.session.has_waiting_view() => {
-                self.view_room = self.state.memory.room_for_view(self.stats.site());
-                if self.view_room.is_none() {
+                if let Some(room) = self.state.memory.room_for_view(self.stats.site()) {
+                    if let Some(selection) = self.session.take_view() {
+                        self.select_view(selection, room);
+                    }
+                } else {
                     self.delay = Some((now + MEMORY_PAUSE, Delay::Memory));
-                } else if let Some(selection) = self.session.take_view() {
-                    self.select_view(selection);
                 }
             }
             Some(delay) if self.session.has_waiting_view() => {
@@ -81,10 +83,10 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
 
     /// Selects a view's chunks in turns on the generation threads, or at once where a measurement
     /// asks what that would cost.
-    pub(super) fn select_view(&mut self, mut selection: ViewSelection) {
+    pub(super) fn select_view(&mut self, mut selection: ViewSelection, room: ViewRoom) {
         let land = self.state.offer.land;
         if self.state.config.without != Some(Mechanism::ViewTurns) {
-            return self.flow.select(selection, land);
+            return self.flow.select(selection, land, Some(room));
         }
         while !selection.step(&land, SELECTION_STEP) {}
         self.apply_view(selection);
@@ -92,7 +94,6 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
 
     /// Applies a finished selection and cancels what only the previous view needed.
     pub(super) fn apply_view(&mut self, selection: ViewSelection) {
-        self.view_room = None;
         self.stats.set_view(selection.view());
         self.session.apply_view(selection);
         self.cancel_stale();
