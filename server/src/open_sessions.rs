@@ -191,7 +191,21 @@ struct Shared {
     /// When a session was displaced for the last time.
     displaced: Mutex<Option<Instant>>,
     /// Sites for which a session was displaced, and when; until one of theirs has its handshake.
-    waiting: Mutex<HashMap<Option<IpAddr>, Instant>>,
+    waiting: Mutex<HashMap<Option<IpAddr>, Waiting>>,
+}
+
+/// A site for which a session was displaced.
+#[derive(Clone, Copy, Debug)]
+struct Waiting {
+    since: Instant,
+    /// Whether it has taken the place.
+    has_begun: bool,
+}
+
+impl Waiting {
+    fn is_recent(&self, now: Instant) -> bool {
+        now.saturating_duration_since(self.since) < DISPLACEMENT_WAIT
+    }
 }
 
 #[derive(Debug, Default)]
@@ -247,14 +261,15 @@ impl OpenSessions {
         let Sessions { by_number, sites } = &mut *sessions;
         // The session of a site with this many older ones.
         let mut older: HashMap<Option<IpAddr>, usize> = HashMap::new();
-        let rank = |site| {
+        let mut rank = |site| {
             let older = older.entry(site).or_default();
             *older += 1;
             *older - 1
         };
-        let ranks = by_number.values().map(|session| session.site).map(rank);
-        let mut ended: Vec<_> =
-            ranks.zip(&*by_number).map(|(rank, (number, of))| (rank, *number, of)).collect();
+        // Those that end already hold little.
+        let open = by_number.iter().filter(|(_, session)| session.stats.ending().is_none());
+        let ranked = open.map(|(number, session)| (rank(session.site), *number, session));
+        let mut ended: Vec<_> = ranked.collect();
         ended.sort_unstable_by_key(|(rank, number, _)| Reverse((*rank, *number)));
         ended.truncate(count);
         if !is_critical && ended.first().is_some_and(|(rank, ..)| *rank > 0) {
@@ -277,8 +292,7 @@ impl OpenSessions {
         }
         let own = client.map(client_site);
         let mut waiting = lock(&self.shared.waiting);
-        let is_waiting = |since: &Instant| now.saturating_duration_since(*since) < DISPLACEMENT_WAIT;
-        if waiting.get(&own).is_some_and(is_waiting) {
+        if waiting.get(&own).is_some_and(|waiting| waiting.is_recent(now)) {
             return false;
         }
         let mut sessions = lock(&self.shared.sessions);
@@ -288,7 +302,7 @@ impl OpenSessions {
         let Some((number, _)) = largest else { return false };
         let Some(newest) = by_number.get(&number) else { return false };
         if waiting.len() >= MAX_WAITING_SITES {
-            waiting.retain(|_, since| is_waiting(since));
+            waiting.retain(|_, waiting| waiting.is_recent(now));
             if waiting.len() >= MAX_WAITING_SITES {
                 return false;
             }
@@ -296,8 +310,16 @@ impl OpenSessions {
         newest.stats.end(Ending::Displaced);
         sites.remove(newest.site, number);
         *displaced = Some(now);
-        waiting.insert(own, now);
+        waiting.insert(own, Waiting { since: now, has_begun: false });
         true
+    }
+
+    /// Takes the place of a session that was displaced for the site of a client; false if there is
+    /// none.
+    pub fn take_place(&self, client: Option<IpAddr>, now: Instant) -> bool {
+        let mut waiting = lock(&self.shared.waiting);
+        let place = waiting.get_mut(&client.map(client_site)).filter(|waiting| waiting.is_recent(now));
+        place.is_some_and(|waiting| !std::mem::replace(&mut waiting.has_begun, true))
     }
 
     /// The oldest sessions, at most so many: their numbers and figures.
@@ -337,8 +359,9 @@ mod tests {
             ended
         };
         assert_eq!(ended(2, false).await, [4, 5]);
-        assert_eq!(ended(8, false).await, [2, 3, 4, 5], "none that is the only one of its site");
-        assert_eq!(ended(5, true).await, [2, 3, 4, 5, 8]);
+        assert_eq!(ended(8, false).await, [2, 3], "none that is the only one of its site");
+        assert_eq!(ended(1, true).await, [8]);
+        assert_eq!(ended(8, false).await, [1, 6, 7], "each is");
         assert_eq!(ended(0, true).await, [0; 0]);
     }
 
@@ -356,7 +379,10 @@ mod tests {
             ended
         };
         assert_eq!(displaced(2, 0), None, "it has one less");
+        assert!(!sessions.take_place(client(3), start));
         assert_eq!(displaced(3, 0), Some(2));
+        assert!(sessions.take_place(client(3), start));
+        assert!(!sessions.take_place(client(3), start), "once");
         assert_eq!(displaced(3, 249), None, "too soon");
         assert_eq!(displaced(3, 250), None, "it has not begun a session");
         assert!(displaced(4, 250).is_some());

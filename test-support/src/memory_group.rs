@@ -22,6 +22,8 @@ impl MemoryGroup {
         static NEXT: AtomicU32 = AtomicU32::new(0);
         let number = NEXT.fetch_add(1, Ordering::Relaxed);
         let folder = std::env::temp_dir().join(format!("tombolo-group-{}-{number}", std::process::id()));
+        // Of a process with the same number that was killed.
+        let _ = fs::remove_dir_all(&folder);
         fs::create_dir(&folder)?;
         fs::write(folder.join("memory.stat"), "file 0\n")?;
         let usage = File::create(folder.join("memory.current"))?;

@@ -128,12 +128,13 @@ pub fn bars(figures: &Value) -> Vec<Bar> {
         ),
         Bar::at_most(
             "the same: longest time until a client of another address has chunks",
-            at(figures, "longest_s").filter(|_| was_full && is_running),
+            at(figures, "longest_s").filter(|_| was_full),
             "s",
             10.0,
         )
         .with_note(
-            "each session has a view and a request, and ends with a chunk of each; from the first attempt; counts only if no session had room",
+            "each session has a view and a request, and ends with a chunk of each; from the first attempt; \
+             counts only if no session had room",
         ),
     ]
 }

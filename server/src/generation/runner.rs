@@ -154,8 +154,9 @@ impl Shared {
     }
 
     /// Continues a view within its budget, or until a newly active flow waits: that flow has the
-    /// next turn, and a view can stop between any two steps. Where views are stopped it waits. A finished selection is sent to its
-    /// session; an unfinished one waits for the flow's next turn. A panic fails this view only.
+    /// next turn, and a view can stop between any two steps. Where views are stopped it waits. A
+    /// finished selection is sent to its session; an unfinished one waits for the flow's next turn. A
+    /// panic fails this view only.
     fn select_view(&self, path: FlowPath, job: Box<ViewJob>, budget_us: i64) {
         let Some(mut job) = self.lock().keep_stopped(path, job) else { return };
         let must_stop = || {

@@ -155,14 +155,17 @@ impl Generation {
         active.shares(flow.turns()).max(paused.shares(flow.turns())).div_ceil(limits.threads)
     }
 
-    /// Stops the selection of views, whose tables take memory, or has it go on. Returns how many go
-    /// on.
+    /// Stops the selection of views, whose tables take memory, or has it go on. Drops those of
+    /// sessions that have ended. Returns how many go on.
     pub fn stop_views(&self, is_stopped: bool) -> usize {
         let mut queue = self.shared.lock();
+        let ended = queue.take_ended_views();
         let count = queue.stop_views(is_stopped);
         for _ in 0..count.min(self.shared.limits.threads) {
             runner::start(&self.shared, &self.threads, &mut queue);
         }
+        drop(queue);
+        drop(ended);
         count
     }
 

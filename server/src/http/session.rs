@@ -78,9 +78,13 @@ pub async fn stream(State(state): State<Arc<ServerState>>, mut request: Request)
         let sentence = "too many sessions from this address, end one or retry later";
         return Problem::new(ProblemKind::AddressFull, sentence).into_response();
     };
-    // Last: a client that is rejected takes no room.
-    if !state.memory.admits(peer, state.open_sessions.held(peer)) {
-        if state.memory.is_scarce() {
+    // Last: a client that is rejected takes no room. One for whose site a session ended has the memory
+    // of that one.
+    let held = state.open_sessions.held(peer);
+    let is_admitted = state.memory.admits(peer, held)
+        || (held == 0 && state.memory.is_below() && state.open_sessions.take_place(peer, Instant::now()));
+    if !is_admitted {
+        if held == 0 && state.memory.is_full() {
             displace_for(peer, &offer, &state);
         }
         let sentence = "the server has little memory left, retry later";

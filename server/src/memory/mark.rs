@@ -83,10 +83,10 @@ impl MemoryMark {
         !self.is_exceeded() && !self.is_unknown.load(Ordering::Relaxed)
     }
 
-    /// The same, and near it: no site with many sessions gets a further one.
+    /// The same, and no session has room.
     #[must_use]
-    pub fn is_scarce(&self) -> bool {
-        self.is_below() && self.room.is_scarce()
+    pub fn is_full(&self) -> bool {
+        self.is_below() && self.room.is_full()
     }
 
     /// Takes the room of a view that a session of a site selects; none if there is none, or beyond
@@ -244,9 +244,9 @@ mod tests {
         drop(views);
         mark.record(600 * MIB, 800 * MIB, true);
         assert!(mark.is_exceeded() && !mark.admits(None, 0) && mark.room_for_view(None).is_none());
-        assert!(!mark.is_scarce(), "sessions end anyway");
+        assert!(!mark.is_full(), "sessions end anyway");
         mark.record(599 * MIB, 800 * MIB, true);
-        assert!(mark.is_scarce());
+        assert!(mark.is_full());
         assert!(!mark.is_exceeded() && !mark.admits(None, 0) && mark.room_for_view(None).is_some());
     }
 

@@ -58,10 +58,13 @@ struct Shares {
     to_begin: u64,
     /// Those that began in it, by site. At most one entry for each.
     begun: HashMap<IpAddr, u64>,
-    /// Views that are being selected, whose memory no look has seen, and those of each site. At most
-    /// one for each session.
+    /// Views that are being selected, and those of each site. At most one for each session.
     views: u64,
     views_of: HashMap<Option<IpAddr>, u64>,
+    /// The site that had the only view last.
+    only: Option<Option<IpAddr>>,
+    /// Another site whose view had no room since, in this interval: the next one is its own.
+    refused: Option<Option<IpAddr>>,
 }
 
 impl Room {
@@ -74,6 +77,8 @@ impl Room {
             begun: HashMap::new(),
             views: 0,
             views_of: HashMap::new(),
+            only: None,
+            refused: None,
         };
         Self { shares: Arc::new(Mutex::new(shares)) }
     }
@@ -85,8 +90,11 @@ impl Room {
         shares.left = room_below(used, limit);
         shares.reserved = kept(limit, RESERVED);
         if is_next {
-            // The tables of views that are being selected grow until the end.
-            shares.to_begin = shares.left.saturating_sub(shares.views);
+            // The tables of views that are being selected grow until the end. They take no room that is
+            // reserved.
+            let beside_views = shares.left.saturating_sub(shares.views);
+            shares.to_begin = beside_views.max(shares.left.min(shares.reserved));
+            shares.refused = None;
             shares.begun.clear();
         }
     }
@@ -109,22 +117,31 @@ impl Room {
         true
     }
 
-    /// Whether no room remained at the last look but what is reserved.
-    pub(super) fn is_scarce(&self) -> bool {
-        let shares = self.shares();
-        shares.left < shares.reserved
+    /// Whether no session had room at the last look.
+    pub(super) fn is_full(&self) -> bool {
+        self.shares().left == 0
     }
 
     /// Takes the room of a view that a session of a site selects; none if there is none. One view has
-    /// room always: below the mark sessions go on.
+    /// room always, of one site and then of another: below the mark sessions go on.
     pub(super) fn begin_view(&self, site: Option<IpAddr>) -> Option<ViewRoom> {
         let mut shares = self.shares();
-        if shares.views > 0 {
-            let left = shares.left.checked_sub(shares.views + 1)?;
-            if shares.views_of.get(&site).is_some_and(|own| *own > left) {
-                return None;
+        let left = shares.left.checked_sub(shares.views + 1);
+        let own = shares.views_of.get(&site).copied().unwrap_or(0);
+        let has_room = match left {
+            Some(left) => own <= left,
+            None => shares.views == 0 && shares.refused.is_none_or(|refused| refused == site),
+        };
+        if !has_room {
+            if shares.refused.is_none() && shares.only != Some(site) {
+                shares.refused = Some(site);
             }
+            return None;
         }
+        if shares.refused == Some(site) {
+            shares.refused = None;
+        }
+        shares.only = Some(site);
         shares.views += 1;
         *shares.views_of.entry(site).or_default() += 1;
         Some(ViewRoom { room: self.clone(), site })
@@ -208,15 +225,23 @@ mod tests {
     }
 
     #[test]
+    fn views_that_are_being_selected_take_no_room_that_is_reserved() {
+        let room = Room::unlimited();
+        let views: Vec<_> = (0..30).map_while(|number| room.begin_view(site(number))).collect();
+        for (left, expected) in [(100, 70), (40, 16), (10, 10)] {
+            record(&room, left, LIMIT, true);
+            assert_eq!(begun(&room, None, 0), expected, "{left}");
+        }
+        drop(views);
+    }
+
+    #[test]
     fn the_last_room_is_of_sites_with_few_sessions() {
         let room = Room::unlimited();
         record(&room, 18, LIMIT, true);
-        assert!(!room.is_scarce());
         assert_eq!(begun(&room, site(1), 100), 2, "16 are reserved");
         assert_eq!(begun(&room, site(2), 12), 4);
         assert_eq!(begun(&room, site(3), 0), 6);
-        record(&room, 15, LIMIT, false);
-        assert!(room.is_scarce());
         // With a small limit less is.
         record(&room, 18, 64 << 20, true);
         assert_eq!(begun(&room, site(1), 100), 9);
@@ -233,10 +258,27 @@ mod tests {
         record(&room, 20, LIMIT, false);
         let (first, second) = (begin(1, 100), begin(2, 100));
         assert_eq!([first.len(), second.len()], [10, 5], "a site leaves as many to others");
-        record(&room, 0, LIMIT, false);
+        record(&room, 0, LIMIT, true);
         assert!(room.begin_view(site(3)).is_none(), "other views take the room");
         drop((first, second));
         assert_eq!(begin(3, 100).len(), 1);
+    }
+
+    #[test]
+    fn the_only_view_that_has_room_is_of_one_site_and_then_of_another() {
+        let room = Room::unlimited();
+        record(&room, 0, LIMIT, true);
+        let first = room.begin_view(site(1)).expect("one has room");
+        assert!(room.begin_view(site(1)).is_none() && room.begin_view(site(2)).is_none());
+        drop(first);
+        assert!(room.begin_view(site(1)).is_none(), "it asks more often");
+        let second = room.begin_view(site(2)).expect("it was refused before");
+        assert!(room.begin_view(site(1)).is_none());
+        drop(second);
+        assert!(room.begin_view(site(2)).is_none());
+        // Where that session has ended, another one goes on in the next interval.
+        record(&room, 0, LIMIT, true);
+        assert!(room.begin_view(site(2)).is_some());
         assert_eq!(room.shares().views_of.len(), 0);
     }
 }

@@ -149,17 +149,29 @@ impl Queue {
         let views = std::mem::take(&mut self.stopped_views);
         let count = views.len();
         for (path, view) in views {
-            // Of a session that has ended too: its job ends in the next turn.
             self.active_site(path.site).add_view(path.flow, view);
             self.add_turn(path.site);
         }
         count
     }
 
+    /// The stopped views of sessions that have ended. They hold memory: the caller drops them without
+    /// the lock of the queue.
+    pub fn take_ended_views(&mut self) -> Vec<Box<ViewJob>> {
+        let ended = self.stopped_views.extract_if(.., |(_, view)| view.completion.is_closed());
+        ended.map(|(_, view)| view).collect()
+    }
+
     /// Whether views are stopped.
     #[must_use]
     pub const fn has_stopped_views(&self) -> bool {
         self.has_stopped_views
+    }
+
+    /// Views that are stopped.
+    #[cfg(test)]
+    pub fn stopped_views(&self) -> usize {
+        self.stopped_views.len()
     }
 
     /// Ends a turn without work on its view if views are stopped: the view waits until they go on.

@@ -203,10 +203,15 @@ async fn a_view_that_is_stopped_goes_on_where_it_was_and_chunks_do_not_wait_for_
     // That of a flow that has ended is dropped.
     let mut ended = service.flow();
     ended.select(view_selection(2), land, None);
+    let count = || service.shared.lock().stopped_views();
+    while count() < 2 {
+        tokio::task::yield_now().await;
+    }
     drop(ended);
-    service.stop_views(false);
+    service.stop_views(true);
+    assert_eq!(count(), 1);
+    assert_eq!(service.stop_views(false), 1);
     assert!(matches!(stopped.next_event().await, FlowEvent::View(_)));
-    assert_eq!(service.stop_views(false), 0);
 }
 
 /// The bucket's rate is 0: what it lacks is all that was charged.
