@@ -12,6 +12,9 @@ use terrain::ChunkKey;
 /// The client waits so long after the end for chunks that it requested.
 const GRACE: Duration = Duration::from_secs(2);
 
+/// Time until a client that was rejected connects again.
+const RETRY: Duration = Duration::from_millis(200);
+
 /// The totals that one or several polite clients received.
 #[derive(Clone, Debug)]
 pub struct Polite {
@@ -35,10 +38,13 @@ pub async fn polite(
     interval: Duration,
     end: Instant,
 ) -> Result<Polite> {
-    let Ok(connected) = tokio::time::timeout_at(end.into(), Connection::connect(address)).await else {
+    let begun = Instant::now();
+    let Ok(connected) = tokio::time::timeout_at(end.into(), connect(address)).await else {
         return Ok(Polite { chunks: 0, refused: 0, latencies: vec![Duration::MAX] });
     };
     let (mut connection, mut keys) = (connected?, keys.into_iter());
+    // The first request waits for the session.
+    let mut waits_since = Some(begun);
     let mut open: FxHashMap<ChunkKey, Instant> = FxHashMap::default();
     let (mut latencies, mut refused) = (Vec::new(), 0);
     let mut ticks = tokio::time::interval(interval);
@@ -62,13 +68,24 @@ pub async fn polite(
         };
         if due && Instant::now() < end {
             let key = keys.next().context("the run is too long for the list of keys")?;
-            open.insert(key, Instant::now());
+            open.insert(key, waits_since.take().unwrap_or_else(Instant::now));
             connection.request([key], false).await?;
         }
     }
     let chunks = latencies.len();
     latencies.extend(open.values().map(Instant::elapsed));
     Ok(Polite { chunks, refused, latencies })
+}
+
+/// Begins a session. As clients do, it connects again where the server answers that it has no room for
+/// the moment.
+async fn connect(address: SocketAddr) -> Result<Connection> {
+    loop {
+        match Connection::connect(address).await {
+            Err(error) if format!("{error:#}").contains(" 503 ") => tokio::time::sleep(RETRY).await,
+            connected => return connected,
+        }
+    }
 }
 
 /// Several polite clients at once, each with its own part of `keys`; what they received together.
