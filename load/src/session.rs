@@ -44,17 +44,18 @@ const WINDOW: u32 = 64;
 /// send.
 const WINDOW_SLOW: u32 = MAX_CREDITS;
 
-/// Wait of a request at the end of its session from which it counts as latency.
+/// A request that is not answered at the end of its session counts as a latency if it has waited so
+/// long. A younger one is counted as unanswered only.
 pub const STALL: Duration = Duration::from_secs(1);
 
-/// Time in which the frames before a failed write are read.
+/// Longest time to read the frames that arrived before a write failed.
 const LAST_FRAMES_WITHIN: Duration = Duration::from_secs(1);
 
 /// Frames after which a session yields. A frame takes about 0.1 ms to decode or generate and
 /// verify; without yielding a burst would delay the clocks of all sessions.
 const YIELD_EVERY: u32 = 16;
 
-/// One settled view in this number is checked for its chunks, which takes a selection.
+/// One settled view in this number is checked for missing chunks. The check repeats the selection.
 const CHECKED_VIEWS: u32 = 8;
 
 /// One session from connect to close. The chunks of an earlier one are reported to the server.
@@ -332,9 +333,9 @@ impl<'t, 'a, D: Dial> Session<'t, 'a, D> {
         let poses = self.poses.waiting_since().filter(|_| is_open);
         for since in self.expected.waiting_since().chain(poses) {
             match now.saturating_duration_since(since) {
+                // The server had enough time: the wait is a lower bound of the latency.
                 waited if has_waited || waited >= STALL => self.task.counters.abandoned(waited),
-                // The latest ones are cut off by the end of the session; older ones wait for a
-                // server that stalls.
+                // It was sent just before the end of the session.
                 _ => self.task.counters.unanswered(1),
             }
         }

@@ -1,11 +1,13 @@
 //! The archipelago: where islands lie, of what kind they are, and the mass and height that they
 //! give a point.
 //!
-//! The world is cut into square cells of 8,192 m, the first centred on the origin. A cell holds at
-//! most one island, whose centre lies anywhere in it. An island is up to four elliptic lobes, and
-//! lobes of all islands are joined by products of complements, `1 - Π (1 - m)`: smooth, below one,
-//! and zero outside all of them. A lobe reaches less than one cell beyond its own, so a point asks
-//! 3 x 3 cells.
+//! The world is cut into square cells of 8,192 m. The first is centred on the origin. A cell holds at
+//! most one island, whose centre is at most 3,584 m from the middle of the cell along each axis. So a
+//! lobe ends less than one cell outside its own cell, and a point is affected by the islands of 3 x 3
+//! cells only.
+//!
+//! An island has one to four elliptic lobes. The masses of all lobes are joined as `1 - Π (1 - m)`.
+//! The result is smooth, below one, and zero outside all lobes. Heights are joined in the same way.
 
 use crate::constants::{GRADIENTS, HOME_LOBE_M, ISLAND_CELL_BITS, UNIT_BITS, WARP_M};
 use crate::curves::{ALMOST_ONE_Q30, square};
@@ -44,11 +46,12 @@ pub struct Lobe {
     pub long: (i32, i32),
     /// The other axis, Q38 of 1/m.
     pub short: (i32, i32),
-    /// Mass as a polynomial `s (mass.0 + s mass.1) / 8` of the falloff `s`, clamped to `[0, 1]`.
+    /// Coefficients of the mass, `s (mass.0 + s mass.1) / 8` clamped to `[0, 1]`. `s` is the square of
+    /// [`Lobe::falloff`].
     pub mass: (i32, i32),
     /// Height at the middle, 1/256 of the tallest.
     pub height: i32,
-    /// log2 of the falloff's factor before it is clamped to one: 2 makes a flat top.
+    /// log2 of the factor of `s` in the height, whose product is clamped to one. 2 makes a flat top.
     pub plateau: u32,
     /// Whether there is a crater.
     pub crater: bool,
@@ -69,7 +72,7 @@ pub struct Archipelago {
     seed: u32,
 }
 
-/// Lobes that may touch some place, with room for all of 3 x 3 cells.
+/// The lobes that may affect a place or a square.
 pub type Lobes = Vec<Lobe>;
 
 /// Random numbers of one island.
@@ -276,7 +279,7 @@ impl Lobe {
 }
 
 pub(crate) const TWO_Q24: i32 = 2 << 24;
-/// Where a crater begins, Q26 of the falloff.
+/// [`Lobe::falloff`] at which the crater begins, Q26 (not squared).
 pub(crate) const CRATER_Q26: i32 = 15 << 22;
 
 impl Mass {

@@ -78,19 +78,19 @@ pub struct Needed {
     pub key: ChunkKey,
     /// Distance from the eye, units.
     pub distance: u64,
-    /// Screen error in 1/16 pixel while this chunk's *parent* is drawn instead of it, saturating:
-    /// how much better the picture becomes when it arrives.
+    /// The largest screen error that remains while the parent of this chunk is drawn, 1/16 pixel,
+    /// saturating. With the errors of finer splits that require this chunk ([`balance`]).
     pub gain_q4: u32,
 }
 
 /// The chunks a viewer needs, parents before children.
 ///
-/// A chunk that is too coarse for the viewer is split into its four children, and so is every chunk
-/// that would otherwise be drawn beside one two levels finer ([`balance`]): level borders can then
-/// be closed vertex by vertex. Contains every ancestor of a needed chunk up to
-/// [`Viewer::top_level`], so that something coarse can be drawn until the fine chunks arrive. Stops
-/// at `limit` chunks: coarse ones are found first, and in the level that does not fit the children
-/// of the most urgent splits.
+/// A chunk that is too coarse for the viewer is split into its four children. So is every chunk that
+/// would otherwise be drawn beside one two levels finer ([`balance`]): level borders can then be
+/// stitched without cracks. Contains every ancestor of a needed chunk up to [`Viewer::top_level`], so
+/// that something coarse can be drawn until the fine chunks arrive. Returns at most `limit` chunks:
+/// levels are added from coarse to fine. Of a level that does not fit as a whole, the children of its
+/// most urgent splits are added.
 #[must_use]
 pub fn select(land: &Land, viewer: &Viewer, limit: usize) -> Vec<Needed> {
     Selector::new(land, viewer, limit).finish()
@@ -224,8 +224,8 @@ impl Viewer {
         self.distance_to(key) <= self.reach()
     }
 
-    /// The coarsest level that is drawn: the last whose side does not exceed the view distance, or
-    /// 0.
+    /// The coarsest drawn level: the largest one whose chunk side is at most the view distance. 0 if
+    /// even a chunk of level 0 is wider.
     #[must_use]
     pub fn top_level(&self) -> u8 {
         let chunks = self.reach() >> CHUNK_BITS;

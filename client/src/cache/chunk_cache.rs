@@ -88,7 +88,7 @@ pub struct ChunkCache {
     split_since: FxHashMap<ChunkKey, Duration>,
     /// The land of the seed that the server states.
     land: Option<Land>,
-    /// Digest of the world, if it is that of the land.
+    /// Digest of the served world. None if the stated seed gives a world with another digest.
     verified: Option<WorldDigest>,
     /// Vertical scale of the resident chunks, Q8.
     vertical_scale: i32,
@@ -282,10 +282,10 @@ impl ChunkCache {
         self.view_sent = self.frame + 1;
     }
 
-    /// Starts a new frame. Returns the view distance to draw land to, metres; none before a view was
-    /// covered completely once, because partial land would end in mid-air. Later gaps are at the far
-    /// end of the view only: a view with another coarsest level is drawn to the distance of the last
-    /// covered one until its own coarsest chunks are resident.
+    /// Starts a frame. Returns the distance up to which land is drawn, metres. None until all visible
+    /// chunks of the coarsest level were resident once: land with holes is not shown. A view with
+    /// another coarsest level is drawn to the distance of the last covered one until its own coarsest
+    /// chunks are resident.
     pub(crate) fn begin_frame(&mut self, viewer: &Viewer, has_all_tops: bool) -> Option<u32> {
         self.frame += 1;
         if has_all_tops {
@@ -316,11 +316,12 @@ impl ChunkCache {
         }
     }
 
-    /// Evicts the least recently used chunk and up to 1/64 of the capacity more, as far as they are
-    /// not in use: the search is linear, so it runs rarely.
+    /// Evicts at least one chunk, and up to 1/64 of the capacity at once: the search is linear, and a
+    /// batch makes it rare. The least recently used go first. After the first one, chunks are spared
+    /// that are drawn or that arrived for the current view.
     ///
-    /// In use are drawn chunks and their ancestors, which replace an evicted chunk. They are
-    /// evicted last, finest first, so that the surface gets coarser and no hole appears.
+    /// Ancestors of drawn chunks count as drawn: they replace an evicted chunk. Drawn ones are evicted
+    /// last, finest first, so that the surface gets coarser and no hole appears.
     fn make_room(&mut self) -> (Vec<ChunkKey>, bool) {
         let (frame, view_sent) = (self.frame, self.view_sent);
         let mut order: Vec<(bool, u64, u8, ChunkKey, bool)> = self

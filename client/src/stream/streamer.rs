@@ -26,8 +26,9 @@ const TOLERANCE_INTERVAL: Duration = Duration::from_millis(400);
 /// for it.
 const REFUSED_INTERVAL: Duration = Duration::from_secs(5);
 
-/// Most missed chunks that are remembered. Without a further one the tolerance may be raised too
-/// early. It falls again only while a complete view draws less than a quarter of the capacity.
+/// Most missed chunks that are remembered: bad or refused ones, requested again. With more, a view
+/// that lacks chunks can be mistaken for a cache that is too small. The tolerance is raised then, and
+/// lowered only while a complete view draws less than a quarter of the capacity.
 const MAX_MISSED: usize = 1024;
 
 /// State of the connection.
@@ -148,7 +149,7 @@ impl<F: ChunkStream> WorldStreamer<F> {
             } else {
                 self.missed.clear();
                 self.milestones.complete_view.get_or_insert(now);
-                // A mostly idle budget can afford a lower tolerance.
+                // Less than a quarter of the slots is drawn: there is room for more detail.
                 if self.tolerance_scale > 1.0 && selection.drawn.len() * 4 < self.cache.capacity() as usize {
                     self.tolerance_scale = (self.tolerance_scale / TOLERANCE_STEP).max(1.0);
                 }
@@ -226,8 +227,8 @@ impl<F: ChunkStream> WorldStreamer<F> {
         }
     }
 
-    /// Sends the view if it changed, the eye came to rest, or it was refused a while ago. True if
-    /// the server has the current view.
+    /// Sends the view if it changed, if the eye came to rest, or if the server refused this view at
+    /// least [`REFUSED_INTERVAL`] ago. True if the server has the current view.
     fn send_view(&mut self, view: &ViewParams, now: Duration) -> bool {
         if !matches!(self.link, Link::Connected(_)) {
             return false;

@@ -15,8 +15,8 @@ use terrain::{ChunkKey, Land};
 pub struct ViewSelection {
     view: View,
     phase: Phase,
-    /// Of the chunks that the view before this one needs and the client does not hold: number of
-    /// still earlier views of which the same was true.
+    /// Age of each chunk that the previous view needs and the client does not hold: the number of
+    /// views before that one in which the chunk waited already.
     waited_before: FxHashMap<ChunkKey, u32>,
     selected: Selected,
 }
@@ -24,15 +24,15 @@ pub struct ViewSelection {
 /// The result of a finished selection.
 #[derive(Debug, Default)]
 pub(super) struct Selected {
-    /// Chunks of the whole selection.
+    /// Number of needed chunks, without prefetched ones.
     pub chunks: u32,
-    /// All of them and the prefetched ones.
+    /// Keys of all needed and all prefetched chunks.
     pub keys: FxHashSet<ChunkKey>,
-    /// The selection by priority, most urgent last.
+    /// Needed chunks with priorities, most urgent last.
     pub needed: Vec<(u64, ChunkKey)>,
-    /// Chunks that the view will need soon, most urgent last.
+    /// Chunks to prefetch with priorities, most urgent last.
     pub ahead: Vec<(u64, ChunkKey)>,
-    /// Number of earlier views at whose end each chunk was needed and not held.
+    /// Age of each needed chunk: the number of previous views in a row in which it waited.
     pub waited: FxHashMap<ChunkKey, u32>,
 }
 

@@ -6,8 +6,12 @@
 //! exceed the deadline are rejected as overloaded at once.
 //!
 //! Fair queueing alone does not bound the work of a single client on an idle server. The limit
-//! applies to networks because a client can open any number of sessions. A bucket may go negative
-//! by one chunk, so that a chunk of any cost can be served at any rate.
+//! applies to networks because a client can open any number of sessions.
+//!
+//! A chunk may start while the bucket holds any token, so that one of any cost can be served at any
+//! rate. The balance can become negative, by the cost of started chunks, by a view selection and by
+//! sent bytes. Sessions of a network check the bucket independently, and several can overdraw it at
+//! once. Nothing new starts until the debt is repaid.
 
 use crate::limits::networks::client_network;
 use crate::metrics::Metrics;
@@ -40,8 +44,8 @@ pub struct RateLimiter {
 struct BucketTable {
     /// Tokens per second.
     rate: f64,
-    /// Buckets that are not full, and full ones not yet swept: at most twice the networks charged
-    /// within [`CAPACITY_S`], and at least [`MIN_SWEEP_SIZE`].
+    /// Buckets by network. Full ones are removed when the table reaches twice the number that the last
+    /// sweep left, and not below [`MIN_SWEEP_SIZE`].
     buckets: Mutex<Buckets>,
 }
 
@@ -95,7 +99,8 @@ impl TokenBucket {
         self.target.is_some()
     }
 
-    /// Number of equal shares of one thread of which this bucket's rate is one; 1 without a limit.
+    /// Into how many equal shares a thread is divided if the rate of this bucket is one share. Rounded
+    /// up. 1 without a limit.
     #[must_use]
     pub fn thread_shares(&self) -> usize {
         self.target.as_ref().map_or(1, |(_, table)| (1e6 / table.rate).ceil().max(1.0) as usize)
@@ -116,7 +121,7 @@ impl TokenBucket {
         self.with(now, |bucket, _| bucket.tokens -= us as f64);
     }
 
-    /// Charges what a chunk took in place of what was charged for it, microseconds.
+    /// Replaces the estimate that was charged for a chunk by its measured cost, microseconds.
     pub fn settle_chunk(&self, charged_us: i64, spent_us: i64, now: Instant) {
         self.with(now, |bucket, _| {
             let more = spent_us as f64 - charged_us as f64;

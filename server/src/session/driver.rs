@@ -193,7 +193,7 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
                     self.state.metrics.limits.refusal_backoffs.inc_by(u64::from(begins));
                 }
                 () = sleep_until(self.message_deadline.by()), if pause.is_none() => {
-                    if let Err(end) = self.finish_message().await {
+                    if let Err(end) = self.enforce_message_deadline().await {
                         return end;
                     }
                 }

@@ -1,8 +1,9 @@
 //! The page table: finds the drawn chunk at a position, and the highest point there.
 //!
-//! A quadtree over the drawn chunks with equal roots. It continues the chunks' max pyramids upward,
-//! so one rule skips chunks and empty land. Coordinates count from its low corner, a multiple of
-//! the root side.
+//! Quadtrees whose roots are a grid of equal squares. A leaf is a drawn chunk, and every node has the
+//! maximum height below it. The maximum pyramid of a chunk continues the tree below its leaf, so that
+//! a ray skips empty land, chunks and blocks by one test. Coordinates count from the north-west corner
+//! of the grid, a multiple of the side of a root.
 
 use rustc_hash::{FxHashMap, FxHashSet};
 use shaders::layout::{EMPTY_LINK, LEAF, MAX_ROOTS, NODES_PER_SLOT, PageNode, ShadowTarget};
@@ -25,9 +26,9 @@ pub struct Page {
 pub struct PageTable {
     /// Roots row by row, then their descendants, four by four.
     pub nodes: Vec<PageNode>,
-    /// Roots east.
+    /// Number of roots from west to east.
     pub columns: u32,
-    /// Roots south.
+    /// Number of roots from north to south.
     pub rows: u32,
     /// log2 of the side of a root, steps of 2 m.
     pub root_bits: u32,

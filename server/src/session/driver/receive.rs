@@ -14,7 +14,7 @@ use tokio::task::yield_now;
 use tokio::time::{Instant, timeout};
 
 impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
-    /// Handles the bytes of a read.
+    /// Handles the bytes of a read, or its error.
     pub(super) async fn read_ended(&mut self, read: io::Result<()>) -> Result<(), SessionEnd> {
         let received = match read {
             Ok(()) => self.receive().await,
@@ -24,9 +24,9 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
         Err(self.ended(end).await)
     }
 
-    /// Ends a session whose message takes too long. Bytes received by now count: a long write may
-    /// have kept this session from reading.
-    pub(super) async fn finish_message(&mut self) -> Result<(), SessionEnd> {
+    /// Ends the session if its unfinished message is overdue. Reads once more before: a long write may
+    /// have kept the session from bytes that had arrived.
+    pub(super) async fn enforce_message_deadline(&mut self) -> Result<(), SessionEnd> {
         if let Some(read) = self.read_now().await {
             self.read_ended(read).await?;
         }
@@ -45,17 +45,18 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
     /// served in time.
     pub(super) async fn receive(&mut self) -> Result<(), SessionEnd> {
         let admitted = self.session.waiting_requests();
-        let mut has_ended = false;
+        let mut message_ended = false;
         while let Some(is_data) = self.receive_message().await? {
-            // Behind a control frame that is not between fragments another message begins.
-            has_ended |= is_data || !self.socket.is_fragmented();
+            // A Ping or Pong between the fragments of a message does not end it. Bytes after any other
+            // one belong to a new message, whose deadline begins.
+            message_ended |= is_data || !self.socket.is_fragmented();
             yield_now().await;
         }
         if self.session.is_welcomed() {
             self.stats.set_welcomed();
         }
         let by = Instant::now() + self.state.config.message_timeout;
-        self.message_deadline.record(has_ended, self.socket.is_in_message(), by);
+        self.message_deadline.record(message_ended, self.socket.is_in_message(), by);
         self.cancel_stale();
         // With a full window, waiting requests wait for the service, not for credit.
         if self.fill_window() {
@@ -76,7 +77,8 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
         Ok(())
     }
 
-    /// Handles one message; whether it was data, none if there is none.
+    /// Handles the next message. True for a data message, false for a Ping, Pong or Close; none if no
+    /// whole one has arrived.
     pub(super) async fn receive_message(&mut self) -> Result<Option<bool>, SessionEnd> {
         let incoming = match self.socket.next_message() {
             Ok(None) => return Ok(None),
