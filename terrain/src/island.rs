@@ -47,11 +47,12 @@ pub struct Lobe {
     /// The other axis, Q38 of 1/m.
     pub short: (i32, i32),
     /// Coefficients of the mass, `s (mass.0 + s mass.1) / 8` clamped to `[0, 1]`. `s` is the square of
-    /// [`Lobe::falloff`].
+    /// the falloff `1 - along² - across²`.
     pub mass: (i32, i32),
     /// Height at the middle, 1/256 of the tallest.
     pub height: i32,
-    /// log2 of the factor of `s` in the height, whose product is clamped to one. 2 makes a flat top.
+    /// log2 of the factor of `s` in the height, whose product is clamped to one: 2 makes a flat top.
+    /// `s` is the squared falloff.
     pub plateau: u32,
     /// Whether there is a crater.
     pub crater: bool,

@@ -58,7 +58,7 @@ impl MemoryMark {
         }
     }
 
-    /// Whether sessions have room, and had for [`READY_AFTER`]. Otherwise `/readyz` answers 503.
+    /// Whether sessions have room, for some seconds if they had none. Otherwise `/readyz` answers 503.
     #[must_use]
     pub fn is_ready(&self) -> bool {
         self.has_room.load(Ordering::Relaxed) && !self.is_unknown.load(Ordering::Relaxed)

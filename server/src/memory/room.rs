@@ -1,5 +1,5 @@
 //! Room below the memory mark: which sessions begin, and which views are selected. Its unit is a
-//! session, [`SESSION_BYTES`].
+//! session: 2 MiB.
 //!
 //! A site gets no more room than remains for others, as with
 //! [`crate::limits::per_ip::PerIpLimiter::fair_share`]. The last of it is for sites with few sessions.
