@@ -19,6 +19,7 @@ const RETRY: Duration = Duration::from_millis(200);
 #[derive(Clone, Debug)]
 pub struct Polite {
     pub chunks: usize,
+    /// Requests that were refused, and attempts to begin a session.
     pub refused: usize,
     /// Time of each request; one without a chunk counts with the time until the client gave up.
     pub latencies: Vec<Duration>,
@@ -42,11 +43,12 @@ pub async fn polite(
     let Ok(connected) = tokio::time::timeout_at(end.into(), connect(address)).await else {
         return Ok(Polite { chunks: 0, refused: 0, latencies: vec![Duration::MAX] });
     };
-    let (mut connection, mut keys) = (connected?, keys.into_iter());
+    let (mut connection, mut refused) = connected?;
+    let mut keys = keys.into_iter();
     // The first request waits for the session.
     let mut waits_since = Some(begun);
     let mut open: FxHashMap<ChunkKey, Instant> = FxHashMap::default();
-    let (mut latencies, mut refused) = (Vec::new(), 0);
+    let mut latencies = Vec::new();
     let mut ticks = tokio::time::interval(interval);
     loop {
         let now = Instant::now();
@@ -78,12 +80,16 @@ pub async fn polite(
 }
 
 /// Begins a session. As clients do, it connects again where the server answers that it has no room for
-/// the moment.
-async fn connect(address: SocketAddr) -> Result<Connection> {
+/// the moment; how often that was comes back with it.
+async fn connect(address: SocketAddr) -> Result<(Connection, usize)> {
+    let mut rejected = 0;
     loop {
         match Connection::connect(address).await {
-            Err(error) if format!("{error:#}").contains(" 503 ") => tokio::time::sleep(RETRY).await,
-            connected => return connected,
+            Err(error) if format!("{error:#}").contains(" 503 ") => {
+                rejected += 1;
+                tokio::time::sleep(RETRY).await;
+            }
+            connected => return Ok((connected?, rejected)),
         }
     }
 }

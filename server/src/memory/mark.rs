@@ -176,13 +176,13 @@ pub async fn watch(
             tracing::info!(%limit, "the memory in use can be read again");
         }
         let (now, used_mib) = (Instant::now(), used >> 20);
-        metrics.limits.memory_used_bytes.set(i64::try_from(used).unwrap_or(i64::MAX));
         let is_next = now >= room_at;
         if is_next {
             room_at = now + ADMISSION;
         }
         mark.record(used, bytes, is_next);
         server.stop_views(mark.is_exceeded());
+        metrics.limits.memory_used_bytes.set(i64::try_from(used).unwrap_or(i64::MAX));
 
         let was_ready = mark.has_room.load(Ordering::Relaxed);
         let is_ready = readiness.look(was_ready, room_below(used, bytes), least(bytes), now);

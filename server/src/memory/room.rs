@@ -15,7 +15,7 @@ const SESSION_BYTES: u64 = 2 << 20;
 /// The share of the limit that is kept for others, as a divisor.
 const KEPT_DIVISOR: u64 = 16;
 
-/// The last sessions that have room are of sites with fewer sessions than that, whatever the limit.
+/// Room, in sessions, that is kept for sites with few sessions. With a small limit less.
 const RESERVED: u64 = 16;
 
 /// Sessions that have room below the mark, whatever the caches hold: with less room the caches are
@@ -97,6 +97,8 @@ impl Room {
             shares.refused = None;
             shares.begun.clear();
         }
+        // Room that is gone since the interval began.
+        shares.to_begin = shares.to_begin.min(shares.left);
     }
 
     /// Takes the room of a session that begins, of a client whose site has `held` sessions. False if
@@ -211,6 +213,9 @@ mod tests {
         assert_eq!(begun(&room, None, 0), 5);
         record(&room, 5, LIMIT, false);
         assert_eq!(begun(&room, None, 0), 0, "the interval has not ended");
+        record(&room, 5, LIMIT, true);
+        record(&room, 0, LIMIT, false);
+        assert_eq!(begun(&room, None, 0), 0, "the room is gone since");
         record(&room, 0, LIMIT, true);
         assert_eq!(begun(&room, None, 0), 0);
     }

@@ -183,7 +183,7 @@ async fn a_panic_fails_its_own_view_only() {
 }
 
 #[tokio::test]
-async fn a_view_that_is_stopped_goes_on_where_it_was_and_chunks_do_not_wait_for_it() {
+async fn a_view_that_is_stopped_goes_on_later_and_chunks_do_not_wait_for_it() {
     let land = Land::new(1);
     let limits =
         Limits { threads: 1, cache_bytes: 1 << 20, jobs: 10, deadline: Duration::MAX, without: None };
