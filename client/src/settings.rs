@@ -1,5 +1,6 @@
-//! Render settings: accuracy against speed, and debug views. Each one is an option of the viewer, most
-//! are controls of the panel and words of the uniforms; the numbers are those of `shared/frame.wesl`.
+//! Render settings: accuracy against speed, and debug views. Each one is an option of the viewer,
+//! most are controls of the panel and words of the uniforms; the numbers are those of
+//! `shared/frame.wesl`.
 
 use crate::features::pom::PomSettings;
 use crate::features::post::PostSettings;

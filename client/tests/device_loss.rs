@@ -1,4 +1,5 @@
-//! A device that is lost while it draws is replaced: the picture is the same to the byte.
+//! A device that is lost, or out of memory, while it draws is replaced: the picture is the same to
+//! the byte.
 
 use client::camera::Projection;
 use client::gpu::{Gpu, GpuError};
@@ -9,12 +10,48 @@ use protocol::view::View;
 use std::time::Instant;
 use terrain::ChunkKey;
 
-/// Local land, during which a device is destroyed: at so many polls after the view was settled.
+/// How a device is lost.
+#[derive(Clone, Copy, Debug)]
+enum Loss {
+    Destroyed,
+    OutOfMemory,
+}
+
+impl Loss {
+    const ALL: [Self; 2] = [Self::Destroyed, Self::OutOfMemory];
+
+    fn cause(self, device: &wgpu::Device) {
+        match self {
+            Self::Destroyed => device.destroy(),
+            Self::OutOfMemory => exhaust(device),
+        }
+    }
+}
+
+/// Allocates more than any address space, in textures within the limits of a device: the first one
+/// of 256 GiB fails, unless the system grants memory that it does not have.
+fn exhaust(device: &wgpu::Device) {
+    let descriptor = wgpu::TextureDescriptor {
+        label: Some("all of the memory"),
+        size: wgpu::Extent3d { width: 8192, height: 8192, depth_or_array_layers: 256 },
+        mip_level_count: 1,
+        sample_count: 1,
+        dimension: wgpu::TextureDimension::D2,
+        format: wgpu::TextureFormat::Rgba32Float,
+        usage: wgpu::TextureUsages::COPY_DST,
+        view_formats: &[],
+    };
+    let textures: Vec<_> = (0..1000).map(|_| device.create_texture(&descriptor)).collect();
+    drop(textures);
+}
+
+/// Local land, during which a device is lost: at so many polls after the view was settled.
 struct LosesDevice {
     land: LocalStream,
     device: wgpu::Device,
+    loss: Loss,
     is_settled: bool,
-    /// Polls until the device is destroyed; none after that.
+    /// Polls until the device is lost; none after that.
     polls: Option<u32>,
 }
 
@@ -25,7 +62,7 @@ impl ChunkStream for LosesDevice {
         if self.is_settled && event.is_none() {
             match self.polls {
                 Some(0) => {
-                    self.device.destroy();
+                    self.loss.cause(&self.device);
                     self.polls = None;
                 }
                 Some(left) => self.polls = Some(left - 1),
@@ -79,9 +116,16 @@ fn open() -> Option<Gpu> {
     }
 }
 
-fn draw(gpu: &Gpu, options: &Options, polls: Option<u32>) -> Result<(Vec<u8>, u32), HeadlessError> {
-    let stream =
-        LosesDevice { land: LocalStream::new(1), device: gpu.device.clone(), is_settled: false, polls };
+/// Draws a picture, during which the device may be lost: the picture, and how often a device was
+/// opened again.
+fn draw(
+    gpu: &Gpu,
+    options: &Options,
+    loss: Loss,
+    polls: Option<u32>,
+) -> Result<(Vec<u8>, u32), HeadlessError> {
+    let (land, device) = (LocalStream::new(1), gpu.device.clone());
+    let stream = LosesDevice { land, device, loss, is_settled: false, polls };
     let drawn = headless::render_on(gpu, options, stream, Instant::now(), |_| {});
     drawn.map(|(image, stats)| (image.rgba, stats.gpu_rebuilds))
 }
@@ -89,21 +133,23 @@ fn draw(gpu: &Gpu, options: &Options, polls: Option<u32>) -> Result<(Vec<u8>, u3
 #[test]
 fn the_picture_after_a_lost_device_equals_the_one_before() {
     let Some(gpu) = open() else { return };
-    let (expected, rebuilds) = draw(&gpu, &options(), None).unwrap();
+    let (expected, rebuilds) = draw(&gpu, &options(), Loss::Destroyed, None).unwrap();
     assert_eq!(rebuilds, 0);
     assert!(expected.iter().any(|byte| *byte != expected[0]), "the picture shows something");
-    // In a warm-up frame, and in the last one.
-    for polls in [2, 6] {
-        let gpu = Gpu::open_blocking().unwrap();
-        let (after, rebuilds) = draw(&gpu, &options(), Some(polls)).unwrap();
-        assert_eq!(rebuilds, 1, "after {polls} polls");
-        assert!(after == expected, "after {polls} polls the picture differs");
-        assert!(gpu.loss().is_some());
-        // The control: without a rebuild there is no picture.
-        let gpu = Gpu::open_blocking().unwrap();
-        let without = draw(&gpu, &Options { gpu_rebuilds: 0, ..options() }, Some(polls));
-        let reason = without.expect_err("a destroyed device draws nothing").to_string();
-        assert!(reason.contains("lost") && reason.contains("--chunk-mb"), "{reason}");
+    for loss in Loss::ALL {
+        // In a warm-up frame, and in the last one.
+        for polls in [2, 6] {
+            let gpu = Gpu::open_blocking().unwrap();
+            let (after, rebuilds) = draw(&gpu, &options(), loss, Some(polls)).unwrap();
+            assert_eq!(rebuilds, 1, "{loss:?} after {polls} polls");
+            assert!(after == expected, "{loss:?} after {polls} polls: the picture differs");
+            assert!(gpu.loss().is_some());
+            // The control: without a rebuild there is no picture.
+            let gpu = Gpu::open_blocking().unwrap();
+            let without = draw(&gpu, &Options { gpu_rebuilds: 0, ..options() }, loss, Some(polls));
+            let reason = without.expect_err("a lost device draws nothing").to_string();
+            assert!(reason.contains("--chunk-mb"), "{reason}");
+        }
     }
 }
 
@@ -121,6 +167,6 @@ fn memory_that_is_exhausted_counts_as_a_loss_and_a_wrong_call_does_not() {
     };
     drop(gpu.device.create_buffer(&descriptor));
     assert!(gpu.check().is_err() && gpu.loss().is_none());
-    gpu.device.destroy();
-    assert!(gpu.loss().is_some());
+    exhaust(&gpu.device);
+    assert!(gpu.loss().is_some_and(|cause| cause.contains("memory")), "{:?}", gpu.loss());
 }

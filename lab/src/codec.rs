@@ -2,9 +2,10 @@
 //!
 //! Every codec gets the heights of the same level-0 chunks with land and must restore them. Bytes
 //! are those of the heights alone: for ours the frame without its header and grass, without any
-//! container. A time is the median of all turns for each chunk, and the mean over the chunks. Decoding
-//! times are of the heights alone too, except those of the refined codec, which has no decoder of
-//! heights alone; those of whole frames, digest and pyramids included, stand beside them.
+//! container. A time is the median of all turns for each chunk, and the mean over the chunks.
+//! Decoding times are of the heights alone too, except those of the refined codec, which has no
+//! decoder of heights alone; those of whole frames, digest and pyramids included, stand beside
+//! them.
 
 mod bars;
 mod baselines;
@@ -107,9 +108,9 @@ struct Sample {
 
 type Encode = Box<dyn FnMut(&Sample) -> Vec<u8>>;
 
-/// Writes the heights into a buffer; leaves it empty on failure. Ours decode heights alone without an
-/// allocation. The times of the baselines and of [`REFINED`] include the memory that their decoders
-/// return.
+/// Writes the heights into a buffer; leaves it empty on failure. Ours decode heights alone without
+/// an allocation. The times of the baselines and of [`REFINED`] include the memory that their
+/// decoders return.
 type Decode = Box<dyn FnMut(&[u8], &Sample, &mut Vec<i32>)>;
 
 /// Makes the verified chunk of a whole frame, in memory of its own.

@@ -59,9 +59,9 @@ pub fn worst(values: impl IntoIterator<Item = f64>) -> f64 {
     values.into_iter().fold(0.0, |worst, value| if value > worst || value.is_nan() { value } else { worst })
 }
 
-/// Within which a share lies with 95 % certainty, of which `found` of `count` independent cases were
-/// found: the score interval (Wilson, JASA 22, 1927). If none was found, 0 to 3 / n (rule of three:
-/// Hanley and Lippman-Hand, JAMA 249(13), 1983); of no case, 0 to 1.
+/// Within which a share lies with 95 % certainty, of which `found` of `count` independent cases
+/// were found: the score interval (Wilson, JASA 22, 1927). If none was found, 0 to 3 / n (rule of
+/// three: Hanley and Lippman-Hand, JAMA 249(13), 1983); of no case, 0 to 1.
 pub fn share_interval(found: u64, count: u64) -> [f64; 2] {
     /// The normal distribution's quantile of 97.5 %.
     const Z: f64 = 1.959_963_984_540_054;

@@ -80,7 +80,8 @@ impl Woods {
         Some(Self { gpu, renderer, target, world, view })
     }
 
-    /// A picture, and what was drawn and lost of plants. `room` replaces the capacity for far trees.
+    /// A picture, and what was drawn and lost of plants. `room` replaces the capacity for far
+    /// trees.
     fn picture(&mut self, plants: VegetationSettings, room: Option<u32>) -> (Image, [u32; 2]) {
         let view = ViewParams { settings: RenderSettings { plants, ..self.view.settings }, ..self.view };
         let selection = select(&mut self.world, &view.viewer());

@@ -1,5 +1,5 @@
-//! Baked materials, read back: that they tile, that their mips keep what they must, and that a wrong
-//! material fails the same comparisons.
+//! Baked materials, read back: that they tile, that their mips keep what they must, and that a
+//! wrong material fails the same comparisons.
 
 use client::features::materials::{
     CustomMaterial, CustomMaterials, MATERIAL_SIZE, MATERIAL_TEXELS, Materials,

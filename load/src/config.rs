@@ -20,8 +20,8 @@ const DEFAULT_SLOW_RATE: u32 = 2048;
 /// Drives a Tombolo server with many headless clients and verifies every chunk that they receive.
 ///
 /// Exits with 0 only if every client had a session, chunks arrived, all were correct and no session
-/// was lost. Ctrl-C ends the run early: the report is that of the run so far, and the exit code 130.
-/// A second Ctrl-C ends it without a report.
+/// was lost. Ctrl-C ends the run early: the report is that of the run so far, and the exit code
+/// 130. A second Ctrl-C ends it without a report.
 #[derive(Clone, Debug, Parser)]
 #[command(name = "tombolo-load", version)]
 pub struct Args {

@@ -135,9 +135,9 @@ impl Counters {
         self.note(ProblemKind::Refusal, problem);
     }
 
-    /// A client waited at its end for a server that had sent nothing for [`SILENCE`].
+    /// A client waited at its end for a server that had sent nothing for [`STALL_TIMEOUT`].
     ///
-    /// [`SILENCE`]: crate::task::SILENCE
+    /// [`STALL_TIMEOUT`]: crate::task::STALL_TIMEOUT
     pub fn stalled(&self, problem: &str) {
         add(&self.stalled);
         self.note(ProblemKind::Stall, problem);

@@ -8,7 +8,7 @@ use crate::dial::Dial;
 use crate::keys::Keys;
 use crate::schedule::{Action, Schedule};
 use crate::session::STALL;
-use crate::task::{GRACE, HANDSHAKE_TIMEOUT, SILENCE, SessionEnd, Task};
+use crate::task::{GRACE, HANDSHAKE_TIMEOUT, STALL_TIMEOUT, SessionEnd, Task};
 use bytes::Bytes;
 use connection::{Connection, Response};
 use hyper::StatusCode;
@@ -128,8 +128,8 @@ impl<'t, 'a, D: Dial> HttpClient<'t, 'a, D> {
                 Some(Ok(FetchOutcome::Refused(pause))) => (None, pause),
                 Some(Err(end)) => (Some(end), Duration::ZERO),
                 None => {
-                    if sent.elapsed() >= SILENCE {
-                        task.counters.stalled(&format!("no answer to a GET within {SILENCE:?}"));
+                    if sent.elapsed() >= STALL_TIMEOUT {
+                        task.counters.stalled(&format!("no answer to a GET within {STALL_TIMEOUT:?}"));
                     }
                     (Some(SessionEnd::Finished), Duration::ZERO)
                 }

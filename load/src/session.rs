@@ -20,7 +20,7 @@ use crate::released::ReleasedChunks;
 use crate::request_pause::RequestPause;
 use crate::resume::Resumption;
 use crate::schedule::Schedule;
-use crate::task::{GRACE, HANDSHAKE_TIMEOUT, SILENCE, SessionEnd, Task};
+use crate::task::{GRACE, HANDSHAKE_TIMEOUT, STALL_TIMEOUT, SessionEnd, Task};
 use crate::verify::Mismatch;
 use actions::Poses;
 use futures_util::StreamExt;
@@ -313,10 +313,10 @@ impl<'t, 'a, D: Dial> Session<'t, 'a, D> {
     /// Counts a client whose requests or poses have waited for long while nothing arrived.
     fn count_stall(&self) {
         let now = Instant::now();
-        let has_waited = |since: Instant| now.saturating_duration_since(since) >= SILENCE;
+        let has_waited = |since: Instant| now.saturating_duration_since(since) >= STALL_TIMEOUT;
         let mut waiting = self.expected.waiting_since().chain(self.poses.waiting_since());
         if has_waited(self.last_frame) && waiting.any(has_waited) {
-            self.task.counters.stalled(&format!("nothing arrived for {SILENCE:?}"));
+            self.task.counters.stalled(&format!("nothing arrived for {STALL_TIMEOUT:?}"));
         }
     }
 

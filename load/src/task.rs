@@ -21,7 +21,7 @@ pub const HANDSHAKE_TIMEOUT: Duration = Duration::from_secs(10);
 pub const GRACE: Duration = Duration::from_secs(2);
 
 /// Time without a frame or an answer after which a client that waits for one counts as stalled.
-pub const SILENCE: Duration = Duration::from_secs(5);
+pub const STALL_TIMEOUT: Duration = Duration::from_secs(5);
 
 /// Time after which clients stop trying to reach a server that has never answered. Long enough for
 /// a server that starts at the same time.
@@ -84,8 +84,9 @@ impl<D> Task<'_, D> {
 
     /// The phase ended while a client that began then waited for its admission.
     pub fn ended_in_admission(&self, began: Instant) {
-        if began.elapsed() >= SILENCE {
-            self.counters.stalled(&format!("no admission by {} within {SILENCE:?}", self.config.connect));
+        if began.elapsed() >= STALL_TIMEOUT {
+            self.counters
+                .stalled(&format!("no admission by {} within {STALL_TIMEOUT:?}", self.config.connect));
         }
     }
 }

@@ -35,7 +35,7 @@ enum Fault {
     /// One chunk of a view is lost.
     Loss,
     /// After some chunks nothing is read or sent.
-    Silence,
+    Stalled,
     /// There is no Welcome.
     NoWelcome,
     /// A view is settled that was not sent.
@@ -87,7 +87,7 @@ async fn serve(socket: TcpStream, offer: ServerOffer, fault: Fault) {
                     session.deliver(wanted, chunk_fault::frame(None, &land, wanted.key, delivery));
                 }
                 Fault::HangUp if sent > 5 => return,
-                Fault::Silence if sent > 5 => return std::future::pending().await,
+                Fault::Stalled if sent > 5 => return std::future::pending().await,
                 Fault::Failure => session.fail(wanted, RefusalReason::Failed, "it panicked"),
                 Fault::Loss if sent == 3 => {
                     let frame = chunk_fault::frame(None, &land, wanted.key, delivery);
@@ -272,7 +272,7 @@ async fn a_view_that_is_settled_without_a_chunk_fails_the_run() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_server_that_falls_silent_fails_the_run() {
-    for (fault, chunks) in [(Fault::Silence, 15), (Fault::NoWelcome, 0)] {
+    for (fault, chunks) in [(Fault::Stalled, 15), (Fault::NoWelcome, 0)] {
         let report = load_with(fault, None, |config| LoadConfig { seconds: 7, ..config }).await;
         assert_eq!((report.counts.stalled, report.counts.chunks), (3, chunks), "{report}");
         assert!(report.verdict().expect_err("a fault").contains("silent"), "{report}");

@@ -71,9 +71,10 @@ impl View {
         }
     }
 
-    /// The viewer in [`AHEAD_S`] seconds at its present velocity, for prefetch; none below 64 m/s, at
-    /// which it moves by a finest chunk in that time. At most half of the view distance away, so that
-    /// prefetched chunks border on visible ones. Integers, so that two machines choose the same chunks.
+    /// The viewer in [`AHEAD_S`] seconds at its present velocity, for prefetch; none below 64 m/s,
+    /// at which it moves by a finest chunk in that time. At most half of the view distance away, so
+    /// that prefetched chunks border on visible ones. Integers, so that two machines choose the
+    /// same chunks.
     #[must_use]
     pub fn viewer_ahead(&self) -> Option<Viewer> {
         let viewer = self.viewer();

@@ -110,7 +110,8 @@ async fn downloads(
     Ok(())
 }
 
-/// Reads an answer, whose length its head states. Whether it has the chunk: one without is a refusal.
+/// Reads an answer, whose length its head states. Whether it has the chunk: one without is a
+/// refusal.
 async fn read_answer(stream: &mut tokio::net::TcpStream) -> Result<bool> {
     let mut bytes = Vec::new();
     let head = loop {

@@ -79,8 +79,8 @@ pub async fn polite(
     Ok(Polite { chunks, refused, latencies })
 }
 
-/// Begins a session. As clients do, it connects again where the server answers that it has no room for
-/// the moment; how often that was comes back with it.
+/// Begins a session. As clients do, it connects again where the server answers that it has no room
+/// for the moment; how often that was comes back with it.
 async fn connect(address: SocketAddr) -> Result<(Connection, usize)> {
     let mut rejected = 0;
     loop {

@@ -4,9 +4,9 @@
 //!     wstest --mode fuzzingclient --spec SPEC.json
 //!
 //! with a `SPEC.json` whose server is `ws://127.0.0.1:9001`. `wstest` is Autobahn|Testsuite; the
-//! cases of its sections 12 and 13 need compression, which this layer does not have. With the option
-//! `--planted-fault` behind the address pongs lack the first byte of their pings, which a suite must
-//! find.
+//! cases of its sections 12 and 13 need compression, which this layer does not have. With the
+//! option `--planted-fault` behind the address pongs lack the first byte of their pings, which a
+//! suite must find.
 
 // The same echo as that of the conformance suite.
 #[path = "../tests/websocket/echo.rs"]

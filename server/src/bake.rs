@@ -86,8 +86,8 @@ pub struct Baked {
     pub written: u64,
     /// Bytes written.
     pub bytes: u64,
-    /// Reads that the store refused. S3 refuses reads of absent objects to a client that may not list
-    /// the bucket, so each counts as one of an absent object.
+    /// Reads that the store refused. S3 refuses reads of absent objects to a client that may not
+    /// list the bucket, so each counts as one of an absent object.
     pub refused: u64,
     /// Whether the region is complete, so that servers use it.
     pub is_complete: bool,
@@ -188,7 +188,8 @@ impl Bake {
             baked.written(ended(result)?);
             progress(&baked, total);
         }
-        // Also if it is stopped after its last pack: another run shows whether the region is complete.
+        // Also if it is stopped after its last pack: another run shows whether the region is
+        // complete.
         match stop.run_until_cancelled(self.missing_pack()).await {
             Some(missing) => {
                 let missing = missing?;

@@ -308,8 +308,8 @@ fn store(address: Option<String>, wait_ms: Option<u64>) -> Result<Option<StoreCo
     };
     let invalid = |why| UsageError::new(format!("store: {why}"));
     let address = StoreAddress::parse(&address).map_err(invalid)?;
-    // Nothing is sent yet; settings that no store can have are an error of the start, as is a folder
-    // that does not exist.
+    // Nothing is sent yet; settings that no store can have are an error of the start, as is a
+    // folder that does not exist.
     address.open().map_err(invalid)?;
     Ok(Some(StoreConfig { address, wait: Duration::from_millis(wait_ms.unwrap_or(0)) }))
 }

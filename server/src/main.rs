@@ -23,8 +23,8 @@ const NAME: &str = "tombolo-server";
 /// Exit code of a bake that a signal has stopped: as a shell reports SIGTERM.
 const TERMINATED: u8 = 128 + 15;
 
-/// Log lines that wait to be written, about 2 MiB. While standard error takes none, further ones are
-/// lost.
+/// Log lines that wait to be written, about 2 MiB. While standard error takes none, further ones
+/// are lost.
 const LOG_LINES: usize = 8192;
 
 /// Longest wait at the end for reads of files and for map tiles, whose results are not needed any

@@ -126,7 +126,7 @@ impl SessionStats {
 pub struct OpenSession {
     stats: Arc<SessionStats>,
     number: u64,
-    site: Option<IpAddr>,
+    client: Option<IpAddr>,
     sessions: OpenSessions,
 }
 
@@ -137,17 +137,23 @@ impl OpenSession {
         self.number
     }
 
+    /// The address of its client.
+    #[must_use]
+    pub const fn client(&self) -> Option<IpAddr> {
+        self.client
+    }
+
     /// The site of its client.
     #[must_use]
-    pub const fn site(&self) -> Option<IpAddr> {
-        self.site
+    pub fn site(&self) -> Option<IpAddr> {
+        self.client.map(client_site)
     }
 
     /// Notes that the handshake is done: the client has taken its place, and another session may be
     /// displaced for its site at once.
     pub fn set_welcomed(&self) {
         if !self.stats.is_welcomed.swap(true, Ordering::Relaxed) {
-            lock(&self.sessions.shared.waiting).remove(&self.site);
+            lock(&self.sessions.shared.waiting).remove(&self.site());
         }
     }
 }
@@ -235,7 +241,7 @@ impl OpenSessions {
         sessions.sites.insert(site, number);
         sessions.by_number.insert(number, registered);
         drop(sessions);
-        OpenSession { stats, number, site, sessions: self.clone() }
+        OpenSession { stats, number, client, sessions: self.clone() }
     }
 
     /// Sessions of the site of a client that were not chosen to end.
@@ -250,9 +256,9 @@ impl OpenSessions {
         lock(&self.shared.sessions).by_number.len()
     }
 
-    /// Ends sessions ([`SessionStats::ends`]), first of the sites that have the most, among equals the
-    /// newest. The only one of its site ends where all are, or memory is critical. Returns how many
-    /// end.
+    /// Ends sessions ([`SessionStats::ends`]), first of the sites that have the most, among equals
+    /// the newest. The only one of its site ends where all are, or memory is critical. Returns how
+    /// many end.
     pub fn shed(&self, Shed { count, is_critical }: Shed) -> usize {
         if count == 0 {
             return 0;

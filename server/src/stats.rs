@@ -1,8 +1,8 @@
 //! Live statistics: positions of the clients and rates of the server. Sampled on request, about
 //! once per second at most.
 //!
-//! A session publishes its view and counts in [`crate::open_sessions::SessionStats`]. The statistics
-//! contain no addresses, names or tokens: a session is a number and a position.
+//! A session publishes its view and counts in [`crate::open_sessions::SessionStats`]. The
+//! statistics contain no addresses, names or tokens: a session is a number and a position.
 
 use crate::generation::Generation;
 use crate::latency::{self, BucketCounts, LatencyHistogram};

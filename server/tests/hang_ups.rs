@@ -16,8 +16,8 @@ use tokio::sync::oneshot;
 const WARM_UP: usize = 1000;
 const CYCLES: usize = 20_000;
 
-/// Bytes that may remain of the measured cycles: four for each. The connection that asks for metrics
-/// may still be open with its buffers, whatever their number.
+/// Bytes that may remain of the measured cycles: four for each. The connection that asks for
+/// metrics may still be open with its buffers, whatever their number.
 const MAX_LEFT: isize = 4 * CYCLES as isize;
 
 /// Timeout of every wait.

@@ -1,4 +1,5 @@
-//! Traces of chunks, sent by the program to a collector: one client's over two replicas with one store.
+//! Traces of chunks, sent by the program to a collector: one client's over two replicas with one
+//! store.
 
 #![cfg(unix)]
 

@@ -6,7 +6,8 @@ use load::path::PathKind;
 use std::path::PathBuf;
 use std::time::Duration;
 
-/// Simulates many clients of a cluster in virtual time, with the measured costs of the server's work.
+/// Simulates many clients of a cluster in virtual time, with the measured costs of the server's
+/// work.
 ///
 /// Clients fly as those of tombolo-load with the same options, and the same options give the same
 /// report.

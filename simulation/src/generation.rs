@@ -1,5 +1,5 @@
-//! The queue of generation as the server has it: one job a key, flows in turns by cost, a view before
-//! the chunks of its flow.
+//! The queue of generation as the server has it: one job a key, flows in turns by cost, a view
+//! before the chunks of its flow.
 
 use protocol::server::{ChunkRequest, ViewSelection};
 use rustc_hash::FxHashMap;
@@ -111,7 +111,8 @@ impl Queue {
         Some(cancelled)
     }
 
-    /// The next turn, and the requests that waited longer than the deadline. `cost` is that of a job.
+    /// The next turn, and the requests that waited longer than the deadline. `cost` is that of a
+    /// job.
     pub fn turn(
         &mut self,
         now: Duration,

@@ -1,6 +1,7 @@
 //! Sessions in virtual time: [`protocol::client::ClientSession`] and
 //! [`protocol::server::ServerSession`] exchange real frames over a modelled network with a modelled
-//! server, whose work takes measured times. A second of a million sessions needs no million sockets.
+//! server, whose work takes measured times. A second of a million sessions needs no million
+//! sockets.
 //!
 //! | module | what it is |
 //! | --- | --- |
@@ -13,8 +14,8 @@
 //! | [`replica`] | one replica with its clients: the loop of events |
 //! | [`report`] | what came of it |
 //!
-//! What is not modelled: loss of packets, pauses of the system, eviction from caches, errors of chunks
-//! that a server measures once for the selection of views, tiles and pages.
+//! What is not modelled: loss of packets, pauses of the system, eviction from caches, errors of
+//! chunks that a server measures once for the selection of views, tiles and pages.
 
 #![forbid(unsafe_code)]
 
@@ -33,8 +34,8 @@ use rayon::prelude::*;
 use report::Report;
 use terrain::Land;
 
-/// Simulates a plan: its replicas beside each other on all processors of this machine. The same plan
-/// has the same report.
+/// Simulates a plan: its replicas beside each other on all processors of this machine. The same
+/// plan has the same report.
 #[must_use]
 pub fn run(plan: &Plan) -> Report {
     let land = Land::new(plan.world_seed);

@@ -1,10 +1,10 @@
 //! The archipelago: where islands lie, of what kind they are, and the mass and height that they
 //! give a point.
 //!
-//! The world is cut into square cells of 8,192 m. The first is centred on the origin. A cell holds at
-//! most one island, whose centre is at most 3,584 m from the middle of the cell along each axis. So a
-//! lobe ends less than one cell outside its own cell, and a point is affected by the islands of 3 x 3
-//! cells only.
+//! The world is cut into square cells of 8,192 m. The first is centred on the origin. A cell holds
+//! at most one island, whose centre is at most 3,584 m from the middle of the cell along each axis.
+//! So a lobe ends less than one cell outside its own cell, and a point is affected by the islands
+//! of 3 x 3 cells only.
 //!
 //! An island has one to four elliptic lobes. The masses of all lobes are joined as `1 - Π (1 - m)`.
 //! The result is smooth, below one, and zero outside all lobes. Heights are joined in the same way.
@@ -46,13 +46,13 @@ pub struct Lobe {
     pub long: (i32, i32),
     /// The other axis, Q38 of 1/m.
     pub short: (i32, i32),
-    /// Coefficients of the mass, `s (mass.0 + s mass.1) / 8` clamped to `[0, 1]`. `s` is the square of
-    /// the falloff `1 - along² - across²`.
+    /// Coefficients of the mass, `s (mass.0 + s mass.1) / 8` clamped to `[0, 1]`. `s` is the square
+    /// of the falloff `1 - along² - across²`.
     pub mass: (i32, i32),
     /// Height at the middle, 1/256 of the tallest.
     pub height: i32,
-    /// log2 of the factor of `s` in the height, whose product is clamped to one: 2 makes a flat top.
-    /// `s` is the squared falloff.
+    /// log2 of the factor of `s` in the height, whose product is clamped to one: 2 makes a flat
+    /// top. `s` is the squared falloff.
     pub plateau: u32,
     /// Whether there is a crater.
     pub crater: bool,

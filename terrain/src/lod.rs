@@ -85,12 +85,12 @@ pub struct Needed {
 
 /// The chunks a viewer needs, parents before children.
 ///
-/// A chunk that is too coarse for the viewer is split into its four children. So is every chunk that
-/// would otherwise be drawn beside one two levels finer ([`balance`]): level borders can then be
-/// stitched without cracks. Contains every ancestor of a needed chunk up to [`Viewer::top_level`], so
-/// that something coarse can be drawn until the fine chunks arrive. Returns at most `limit` chunks:
-/// levels are added from coarse to fine. Of a level that does not fit as a whole, the children of its
-/// most urgent splits are added.
+/// A chunk that is too coarse for the viewer is split into its four children. So is every chunk
+/// that would otherwise be drawn beside one two levels finer ([`balance`]): level borders can then
+/// be stitched without cracks. Contains every ancestor of a needed chunk up to
+/// [`Viewer::top_level`], so that something coarse can be drawn until the fine chunks arrive.
+/// Returns at most `limit` chunks: levels are added from coarse to fine. Of a level that does not
+/// fit as a whole, the children of its most urgent splits are added.
 #[must_use]
 pub fn select(land: &Land, viewer: &Viewer, limit: usize) -> Vec<Needed> {
     Selector::new(land, viewer, limit).finish()
@@ -224,8 +224,8 @@ impl Viewer {
         self.distance_to(key) <= self.reach()
     }
 
-    /// The coarsest drawn level: the largest one whose chunk side is at most the view distance. 0 if
-    /// even a chunk of level 0 is wider.
+    /// The coarsest drawn level: the largest one whose chunk side is at most the view distance. 0
+    /// if even a chunk of level 0 is wider.
     #[must_use]
     pub fn top_level(&self) -> u8 {
         let chunks = self.reach() >> CHUNK_BITS;

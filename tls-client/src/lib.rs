@@ -104,7 +104,8 @@ impl TlsClient {
     }
 }
 
-/// A failed handshake with what to do about it. Authorities are the remedy for an unknown one alone.
+/// A failed handshake with what to do about it. Authorities are the remedy for an unknown one
+/// alone.
 fn explained(error: &io::Error) -> io::Error {
     let cause = error.get_ref().and_then(|cause| cause.downcast_ref::<rustls::Error>());
     let remedy = match cause {

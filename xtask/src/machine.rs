@@ -62,6 +62,15 @@ pub struct Commit {
     pub is_clean: bool,
 }
 
+impl Commit {
+    /// The state of a checkout over a run that began in this state: clean only if it was so then
+    /// and now, at one commit.
+    pub fn until(&self, now: Self) -> Self {
+        let is_clean = now.is_clean && *self == now;
+        Self { is_clean, ..now }
+    }
+}
+
 /// The commit that is checked out.
 pub fn commit() -> Commit {
     let git = |args: &[&str]| {
@@ -100,6 +109,21 @@ fn slug(name: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_checkout_is_clean_only_if_it_was_so_from_the_start() {
+        let state = |hash: &str, is_clean| Commit { hash: hash.into(), is_clean };
+        for (begun, now, is_clean) in [
+            (state("a", true), state("a", true), true),
+            (state("a", false), state("a", true), false),
+            (state("a", false), state("b", true), false),
+            (state("a", true), state("b", true), false),
+            (state("a", true), state("a", false), false),
+        ] {
+            let over = begun.until(now.clone());
+            assert_eq!(over, Commit { is_clean, ..now }, "from {begun:?}");
+        }
+    }
 
     #[test]
     fn peak_memory_is_read_from_a_status_file_and_nothing_else() {

@@ -30,9 +30,9 @@ pub struct Corner {
 }
 
 impl Corner {
-    /// Chunks along one side of the square that corners are taken from: up to 1.7 km from the origin
-    /// on each axis, all of it on the home island or in its bays, so that nothing is timed over the
-    /// open sea, where the land is flat and nearly free.
+    /// Chunks along one side of the square that corners are taken from: up to 1.7 km from the
+    /// origin on each axis, all of it on the home island or in its bays, so that nothing is timed
+    /// over the open sea, where the land is flat and nearly free.
     const SIDE: i32 = 26;
 
     /// Number of different corners.

@@ -120,8 +120,8 @@ impl ChunkCache {
         u32::try_from(budget / SLOT_BYTES).unwrap_or(u32::MAX).max(1)
     }
 
-    /// Inserts a chunk, scaled vertically, and evicts others if the cache is full. The caller uploads
-    /// the chunk and releases the evicted keys.
+    /// Inserts a chunk, scaled vertically, and evicts others if the cache is full. The caller
+    /// uploads the chunk and releases the evicted keys.
     pub fn insert(&mut self, chunk: Chunk) -> Arrival {
         if self.chunks.contains_key(&chunk.key) {
             return Arrival { slot: None, evicted: Vec::new(), thrashing: false };
@@ -282,10 +282,10 @@ impl ChunkCache {
         self.view_sent = self.frame + 1;
     }
 
-    /// Starts a frame. Returns the distance up to which land is drawn, metres. None until all visible
-    /// chunks of the coarsest level were resident once: land with holes is not shown. A view with
-    /// another coarsest level is drawn to the distance of the last covered one until its own coarsest
-    /// chunks are resident.
+    /// Starts a frame. Returns the distance up to which land is drawn, metres. None until all
+    /// visible chunks of the coarsest level were resident once: land with holes is not shown. A
+    /// view with another coarsest level is drawn to the distance of the last covered one until its
+    /// own coarsest chunks are resident.
     pub(crate) fn begin_frame(&mut self, viewer: &Viewer, has_all_tops: bool) -> Option<u32> {
         self.frame += 1;
         if has_all_tops {
@@ -316,12 +316,12 @@ impl ChunkCache {
         }
     }
 
-    /// Evicts at least one chunk, and up to 1/64 of the capacity at once: the search is linear, and a
-    /// batch makes it rare. The least recently used go first. After the first one, chunks are spared
-    /// that are drawn or that arrived for the current view.
+    /// Evicts at least one chunk, and up to 1/64 of the capacity at once: the search is linear, and
+    /// a batch makes it rare. The least recently used go first. After the first one, chunks are
+    /// spared that are drawn or that arrived for the current view.
     ///
-    /// Ancestors of drawn chunks count as drawn: they replace an evicted chunk. Drawn ones are evicted
-    /// last, finest first, so that the surface gets coarser and no hole appears.
+    /// Ancestors of drawn chunks count as drawn: they replace an evicted chunk. Drawn ones are
+    /// evicted last, finest first, so that the surface gets coarser and no hole appears.
     fn make_room(&mut self) -> (Vec<ChunkKey>, bool) {
         let (frame, view_sent) = (self.frame, self.view_sent);
         let mut order: Vec<(bool, u64, u8, ChunkKey, bool)> = self

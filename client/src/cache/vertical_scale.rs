@@ -26,8 +26,9 @@ pub(super) fn scaled(chunk: Chunk, scale: i32) -> Chunk {
 }
 
 /// The viewer to select chunks of the unscaled land by, as a server does, so that a viewer of the
-/// scaled land needs no other chunk. Above scale 1 a vertical error is `scale` / 256 times as large,
-/// and the eye is lower over the unscaled land. Below it the viewer itself needs more than enough.
+/// scaled land needs no other chunk. Above scale 1 a vertical error is `scale` / 256 times as
+/// large, and the eye is lower over the unscaled land. Below it the viewer itself needs more than
+/// enough.
 #[must_use]
 pub fn served(viewer: &Viewer, scale: i32) -> Viewer {
     let times = i64::from(scale.max(ONE));

@@ -2,8 +2,8 @@
 //!
 //! Three steps: record a copy into a staging buffer, [`Readback::start`] the mapping after the
 //! submission, then [`PendingRead::poll`] until [`PendingRead::result`] has the bytes. Work without
-//! a result for the CPU is polled as [`PendingWork`]. A browser cannot block: frames of a window poll,
-//! and only pictures and measurements wait ([`Gpu::read`], [`Gpu::wait`]).
+//! a result for the CPU is polled as [`PendingWork`]. A browser cannot block: frames of a window
+//! poll, and only pictures and measurements wait ([`Gpu::read`], [`Gpu::wait`]).
 
 use crate::gpu::buffer::create_buffer;
 use crate::gpu::device::{Gpu, GpuError};

@@ -50,8 +50,8 @@ impl WindowSurface {
         Ok(window)
     }
 
-    /// Replaces the surface. The old one is dropped before the new one is configured: a window has at
-    /// most one swapchain.
+    /// Replaces the surface. The old one is dropped before the new one is configured: a window has
+    /// at most one swapchain.
     ///
     /// # Errors
     /// The GPU cannot present to the new one.

@@ -29,9 +29,9 @@ pub fn without_rounding(stated: u32, delivery: Delivery) -> u32 {
 }
 
 /// Whether a chunk must be split for a viewer. Implies that the server splits it too, for `served`
-/// ([`vertical_scale::served`] of the viewer): the server uses the chunk's error, or a larger bound,
-/// at the nearest distance. A chunk that overstates its error waits for children that no server
-/// sends, and is drawn itself.
+/// ([`vertical_scale::served`] of the viewer): the server uses the chunk's error, or a larger
+/// bound, at the nearest distance. A chunk that overstates its error waits for children that no
+/// server sends, and is drawn itself.
 #[must_use]
 pub fn is_too_coarse(
     cache: &ChunkCache,

@@ -13,9 +13,9 @@ const MOST_REFINEMENTS: u64 = PomSettings::MAX_REFINEMENTS as u64;
 #[derive(Clone, Debug, PartialEq, Args)]
 #[command(next_help_heading = "Parallax occlusion mapping")]
 pub struct PomArgs {
-    /// Parallax method of materials [default: auto; offset on land with --quality low]. Cones pass through
-    /// single high texels: over spikes of one texel, 36 to 60 % of the pixels are wrong at view
-    /// angles of 21 degrees and below. The other marches miss less
+    /// Parallax method of materials [default: auto; offset on land with --quality low]. Cones pass
+    /// through single high texels: over spikes of one texel, 36 to 60 % of the pixels are wrong at
+    /// view angles of 21 degrees and below. The other marches miss less
     #[arg(long, value_enum)]
     pub relief: Option<PomMethod>,
 
@@ -44,7 +44,8 @@ pub struct PomArgs {
     #[arg(long, value_enum)]
     pub relief_shadow: Option<PomShadow>,
 
-    /// Silhouette of displaced surfaces; none: that of each object in the scene spom, none elsewhere
+    /// Silhouette of displaced surfaces; none: that of each object in the scene spom, none
+    /// elsewhere
     #[arg(long, value_enum, default_value_t)]
     pub silhouette: Silhouette,
 

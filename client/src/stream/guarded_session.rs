@@ -9,7 +9,7 @@ use crate::lod::error;
 use crate::stream::chunk_stream::StreamEvent;
 use crate::stream::expected::{ExpectedChunks, check_ranges};
 use crate::stream::retries::Retries;
-use crate::stream::trust::{Distrust, Trust};
+use crate::stream::trust::{Trust, Untrusted};
 use bytes::Bytes;
 use protocol::chunk_codec::kind_and_key;
 use protocol::client::{ClientConfig, ClientSession, Event};
@@ -44,7 +44,7 @@ pub enum SessionFault {
     Peer(#[from] PeerFault),
     /// The server is given up.
     #[error(transparent)]
-    Distrust(#[from] Distrust),
+    Untrusted(#[from] Untrusted),
     /// A chunk is missing whose key is unknown: a new session reports the chunks that are held, and
     /// the server sends the others.
     #[error("a bad chunk named no key of this view: the session starts again")]

@@ -1,7 +1,7 @@
 //! Chunk streams and the streamer that connects one to the chunk cache.
 //!
-//! A stream is polled for events in each frame and never waits. Waiting and reconnecting are internal
-//! to each implementation. [`LocalStream`] generates one chunk in a poll.
+//! A stream is polled for events in each frame and never waits. Waiting and reconnecting are
+//! internal to each implementation. [`LocalStream`] generates one chunk in a poll.
 
 pub mod chunk_stream;
 pub mod expected;

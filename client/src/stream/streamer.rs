@@ -27,8 +27,8 @@ const TOLERANCE_INTERVAL: Duration = Duration::from_millis(400);
 const REFUSED_INTERVAL: Duration = Duration::from_secs(5);
 
 /// Most missed chunks that are remembered: bad or refused ones, requested again. With more, a view
-/// that lacks chunks can be mistaken for a cache that is too small. The tolerance is raised then, and
-/// lowered only while a complete view draws less than a quarter of the capacity.
+/// that lacks chunks can be mistaken for a cache that is too small. The tolerance is raised then,
+/// and lowered only while a complete view draws less than a quarter of the capacity.
 const MAX_MISSED: usize = 1024;
 
 /// State of the connection.

@@ -5,7 +5,7 @@
 pub const MAX_BAD: u32 = 8;
 
 /// Good chunks that make up for a bad one.
-const FORGIVEN_AFTER: u32 = 1024;
+const GOOD_PER_BAD: u32 = 1024;
 
 /// Frames without a use that a server may have sent in advance: repeated chunks, answers to
 /// nothing, pings. One more for each good chunk and each second.
@@ -13,7 +13,7 @@ pub const MAX_SURPLUS: u32 = 4096;
 
 /// Why a server is given up.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum Distrust {
+pub enum Untrusted {
     /// Too much was bad.
     #[error(
         "{MAX_BAD} bad chunks or messages, the last: {last}; check the server or name another with --connect"
@@ -44,7 +44,7 @@ impl Trust {
     pub fn good(&mut self) {
         self.surplus = self.surplus.saturating_sub(1);
         self.good += 1;
-        if self.good == FORGIVEN_AFTER {
+        if self.good == GOOD_PER_BAD {
             (self.good, self.bad) = (0, self.bad.saturating_sub(1));
         }
     }
@@ -53,18 +53,18 @@ impl Trust {
     ///
     /// # Errors
     /// It was the last of [`MAX_BAD`].
-    pub fn bad(&mut self, fault: &str) -> Result<(), Distrust> {
+    pub fn bad(&mut self, fault: &str) -> Result<(), Untrusted> {
         self.bad += 1;
-        if self.bad >= MAX_BAD { Err(Distrust::Bad { last: fault.to_owned() }) } else { Ok(()) }
+        if self.bad >= MAX_BAD { Err(Untrusted::Bad { last: fault.to_owned() }) } else { Ok(()) }
     }
 
     /// Counts a frame without a use.
     ///
     /// # Errors
     /// It was one more than [`MAX_SURPLUS`].
-    pub fn surplus(&mut self) -> Result<(), Distrust> {
+    pub fn surplus(&mut self) -> Result<(), Untrusted> {
         self.surplus += 1;
-        if self.surplus > MAX_SURPLUS { Err(Distrust::Surplus) } else { Ok(()) }
+        if self.surplus > MAX_SURPLUS { Err(Untrusted::Surplus) } else { Ok(()) }
     }
 
     /// Some seconds have passed.
@@ -86,7 +86,7 @@ mod tests {
         let mut forgiving = trust.clone();
         let line = trust.bad("the last fault").unwrap_err().to_string();
         assert!(line.contains("8 bad") && line.contains("the last fault") && !line.contains('\n'), "{line}");
-        (0..FORGIVEN_AFTER).for_each(|_| forgiving.good());
+        (0..GOOD_PER_BAD).for_each(|_| forgiving.good());
         assert_eq!(forgiving.bad("a fault"), Ok(()));
         assert!(forgiving.bad("a fault").is_err());
     }
@@ -102,6 +102,6 @@ mod tests {
         for _ in 0..3 {
             assert_eq!(trust.surplus(), Ok(()));
         }
-        assert_eq!(trust.surplus(), Err(Distrust::Surplus));
+        assert_eq!(trust.surplus(), Err(Untrusted::Surplus));
     }
 }

@@ -19,7 +19,7 @@ use protocol::{DataFrame, Delivery, SUBPROTOCOL, chunk_codec};
 use server::{Behaviour, HostileServer};
 use std::io::Write as _;
 use std::net::TcpStream;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, OnceLock};
 use std::time::{Duration, Instant};
 use terrain::{Chunk, ChunkKey, WorldDigest};
 use tokio_tungstenite::tungstenite::{ClientRequestBuilder, Message, WebSocket, connect};
@@ -238,6 +238,43 @@ fn a_view_completes_once_the_server_sends_correct_chunks() {
         let restarted = outcome.causes.iter().any(|cause| cause.contains("starts again"));
         assert!(outcome.traffic.retried_chunks > 0 || restarted, "{name}: {:?}", outcome.causes);
     }
+}
+
+/// The coarsest land is correct, the first three finer chunks are not.
+#[test]
+fn coarser_land_is_drawn_in_place_of_bad_chunks() {
+    const BAD: usize = 3;
+    let (coarsest, bad) = (OnceLock::new(), Arc::new(Mutex::new(Vec::new())));
+    let sent = Arc::clone(&bad);
+    let server = HostileServer::start(server::always_wrong(move |key| {
+        let mut sent = sent.lock().unwrap();
+        if key.level() == *coarsest.get_or_init(|| key.level()) || sent.len() == BAD || sent.contains(&key) {
+            return Some(server::correct(key));
+        }
+        sent.push(key);
+        with_wrong_digest(key)
+    }));
+    let settings = Settings { timeouts: LONG, ..Settings::new(server.url().parse().unwrap()) };
+    let mut streamer = WorldStreamer::new(ServerStream::connect(settings).unwrap(), CAPACITY);
+    let (started, mut looks) = (Instant::now(), 0);
+    loop {
+        let selection = streamer.update(&view(), started.elapsed(), 1, |_| ());
+        if streamer.missed() == BAD {
+            looks += 1;
+            assert!(!selection.is_complete());
+            for key in bad.lock().unwrap().iter() {
+                let above = std::iter::successors(key.parent(), |key| key.parent());
+                let is_drawn = |key| selection.drawn.iter().any(|drawn| drawn.key == key);
+                assert_eq!(above.filter(|key| is_drawn(*key)).count(), 1, "above {key:?}");
+            }
+        }
+        if streamer.is_settled() && selection.is_complete() {
+            break;
+        }
+        assert!(started.elapsed() < Duration::from_secs(120), "{:?}", streamer.link());
+        std::thread::sleep(MS(1));
+    }
+    assert!(looks > 0, "the three were missing at the same time");
 }
 
 /// The chunk of a key with other heights.

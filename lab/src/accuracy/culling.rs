@@ -42,8 +42,8 @@ const FINE: f64 = 4096.0;
 /// Steps of the marches, metres.
 const STEPS_M: [f64; 7] = [0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0];
 
-/// Frames for which a chunk of 128 m stays drawn after a test last kept it. The option `--cull-stay`
-/// does that with blocks of plants, which are smaller.
+/// Frames for which a chunk of 128 m stays drawn after a test last kept it. The option
+/// `--cull-stay` does that with blocks of plants, which are smaller.
 const HYSTERESIS: [usize; 6] = [0, 1, 2, 4, 8, 16];
 
 /// Frames of a walk, and the distance between two, m: large for a frame, so that visibility changes

@@ -229,5 +229,6 @@ mod tests {
     fn this_build_computes_the_frozen_digest() {
         let found = words::digest(&cpu::scalar(&Land::new(WORLD_SEED), &probes::all()));
         assert_eq!(found, EXPECTED, "another land: bump GENERATOR_VERSION and freeze the new digest");
+        assert!(include_str!("../../../docs/heightfield.md").contains(&format!("`{EXPECTED}`")), "published");
     }
 }

@@ -154,8 +154,8 @@ fn look_everywhere(land: &Land, key: ChunkKey) -> f64 {
     (0..squares * squares).into_par_iter().map(of_square).reduce(|| 0.0, f64::max)
 }
 
-/// The largest distance of the heights (units) of a square of level-0 vertices, so many along a side
-/// from a corner of a chunk on, from the chunk's triangles.
+/// The largest distance of the heights (units) of a square of level-0 vertices, so many along a
+/// side from a corner of a chunk on, from the chunk's triangles.
 fn farthest(land: &Land, key: ChunkKey, drawn: &[i32; VERTEX_COUNT], corner: [u32; 2], side: usize) -> f64 {
     let units = |low: i32, index: u32| low.wrapping_add_unsigned(index << SPACING_BITS);
     let ((west, north), level) = (key.origin(), key.level());

@@ -175,7 +175,8 @@ fn requested_by_a_view_too() -> (ServerSession, Vec<ChunkRequest>) {
     (server, in_flight)
 }
 
-/// Delivers what a server requests, by request, until it requests nothing; the view is settled then.
+/// Delivers what a server requests, by request, until it requests nothing; the view is settled
+/// then.
 fn delivered(server: &mut ServerSession) -> Vec<Option<u32>> {
     let land = offer().land;
     let requested = std::iter::from_fn(|| {

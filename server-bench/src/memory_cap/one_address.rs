@@ -1,5 +1,6 @@
-//! Clients of one address that take memory and read nothing, and one of another address that opens a
-//! session again and again: the others must not keep it out, neither at the memory mark nor below.
+//! Clients of one address that take memory and read nothing, and one of another address that opens
+//! a session again and again: the others must not keep it out, neither at the memory mark nor
+//! below.
 
 use super::mark::{LENGTH, SESSION, is_marked, unread};
 use crate::clients::other_thread;
@@ -75,8 +76,8 @@ pub async fn load(server: &ServerProcess, keys: &Arc<[ChunkKey]>) -> Result<Valu
     }))
 }
 
-/// Opens sessions until the end, each for two chunks; what it found, and in what share of its attempts
-/// the server was not ready for lack of memory.
+/// Opens sessions until the end, each for two chunks; what it found, and in what share of its
+/// attempts the server was not ready for lack of memory.
 async fn other(address: SocketAddr, keys: &[ChunkKey], end: Instant) -> Result<(Found, f64)> {
     let (mut found, mut looks, mut marked) = (Found::default(), 0_u32, 0_u32);
     // From the end of the list: not those of the clients.

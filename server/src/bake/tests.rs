@@ -87,11 +87,15 @@ async fn a_stopped_bake_ends_after_what_it_has_begun_and_goes_on_when_it_is_repe
 
 #[tokio::test]
 async fn a_pack_counts_when_the_store_has_taken_it() {
-    let folder = std::env::temp_dir().join(format!("tombolo-bake-{}", std::process::id()));
-    std::fs::create_dir_all(&folder).unwrap();
-    let (objects, root) = StoreAddress::parse(folder.to_str().unwrap()).unwrap().open().unwrap();
     let mut bake = bake(&Arc::default(), 0, 1);
-    (bake.names, bake.objects) = (ObjectNames::new(&root, &bake.land.digest()), objects);
+    let open = |bake: &mut Bake, name| {
+        let folder = std::env::temp_dir().join(format!("tombolo-bake-{}-{name}", std::process::id()));
+        std::fs::create_dir_all(&folder).unwrap();
+        let (objects, root) = StoreAddress::parse(folder.to_str().unwrap()).unwrap().open().unwrap();
+        (bake.names, bake.objects) = (ObjectNames::new(&root, &bake.land.digest()), objects);
+        folder
+    };
+    let folder = open(&mut bake, "blocked");
     // A folder in the place of a pack: there is no such object, and none can be written.
     for tile in bake.region.tiles().skip(1) {
         std::fs::create_dir_all(std::path::Path::new("/").join(bake.names.pack(tile).as_ref())).unwrap();
@@ -103,8 +107,9 @@ async fn a_pack_counts_when_the_store_has_taken_it() {
     assert!(failed.unwrap_err().contains("the store failed"));
     // The one that can be written may come after the first that cannot.
     assert!(seen.iter().all(|counts| *counts == (1, 1)), "{seen:?}");
-    // The control: where all can be written, all count.
-    std::fs::create_dir_all(&folder).unwrap();
+    // The control: where all can be written, all count. In another folder: a write that was begun
+    // may still end in the first one.
+    let folder = open(&mut bake, "free");
     let mut seen = Vec::new();
     let baked = bake
         .run(&CancellationToken::new(), |baked, _| seen.push((baked.packs, baked.written)))

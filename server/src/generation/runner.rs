@@ -35,7 +35,8 @@ const FAST_BACKLOG_US: i64 = 4000;
 /// turns and one with four does not, so they divide unused time less evenly.
 const QUANTUM_US: i64 = 160;
 
-/// Most that is charged for a piece of work: time in which the machine was suspended is not charged.
+/// Most that is charged for a piece of work: time in which the machine was suspended is not
+/// charged.
 const MAX_CHARGE: Duration = Duration::from_secs(1);
 
 /// The frames of a finished job.
@@ -155,8 +156,8 @@ impl Shared {
 
     /// Continues a view within its budget, or until a newly active flow waits: that flow has the
     /// next turn, and a view can stop between any two steps. Where views are stopped it waits. A
-    /// finished selection is sent to its session; an unfinished one waits for the flow's next turn. A
-    /// panic fails this view only.
+    /// finished selection is sent to its session; an unfinished one waits for the flow's next turn.
+    /// A panic fails this view only.
     fn select_view(&self, path: FlowPath, job: Box<ViewJob>, budget_us: i64) {
         let Some(mut job) = self.lock().keep_stopped(path, job) else { return };
         let must_stop = || {
@@ -279,10 +280,10 @@ impl Shared {
         GeneratedFrame { delivery, is_fast_encoded, result: Ok(frame) }
     }
 
-    /// A chunk. Where its error is known, or there is no store, the source generates it. Otherwise a
-    /// chunk that is not cheap is read from the store; one that is cheap or not found is generated and
-    /// written there. A cheap chunk is written, too: another replica may not have measured its error,
-    /// for which it would take milliseconds.
+    /// A chunk. Where its error is known, or there is no store, the source generates it. Otherwise
+    /// a chunk that is not cheap is read from the store; one that is cheap or not found is
+    /// generated and written there. A cheap chunk is written, too: another replica may not have
+    /// measured its error, for which it would take milliseconds.
     fn chunk(&self, id: ChunkId, delivery: Delivery) -> Found {
         let known_error = self.frames.known_error(id).or_else(|| self.stored_error(id, delivery));
         let Some(store) = self.store.as_ref().filter(|_| known_error.is_none()) else {

@@ -5,7 +5,8 @@
 //! guarantees of finding bugs" (ASPLOS 2010), in which a bug of few switches is found with a known
 //! probability. A failure prints its schedule, which `shuttle::replay` runs again.
 //!
-//!     RUSTFLAGS="--cfg shuttle" cargo test -p tombolo-server --lib schedules --target-dir target/shuttle
+//!     RUSTFLAGS="--cfg shuttle" cargo test -p tombolo-server --lib schedules \
+//!         --target-dir target/shuttle
 //!     TOMBOLO_SCHEDULES=100000 ... the same with more of them
 //!
 //! Channels and caches are those of the product and change in one step. Only the order of such

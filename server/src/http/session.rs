@@ -78,8 +78,8 @@ pub async fn stream(State(state): State<Arc<ServerState>>, mut request: Request)
         let sentence = "too many sessions from this address, end one or retry later";
         return Problem::new(ProblemKind::AddressFull, sentence).into_response();
     };
-    // Last: a client that is rejected takes no room. One for whose site a session ended has the memory
-    // of that one.
+    // Last: a client that is rejected takes no room. One for whose site a session ended has the
+    // memory of that one.
     let held = state.open_sessions.held(peer);
     let is_admitted = state.memory.admits(peer, held)
         || (held == 0 && state.memory.is_below() && state.open_sessions.take_place(peer, Instant::now()));
@@ -112,8 +112,8 @@ pub async fn stream(State(state): State<Arc<ServerState>>, mut request: Request)
 }
 
 /// Ends a session of a site that has more, for a client that gets none. Its place and its memory
-/// become free for the retry; they are not reserved. Not for a client that may have no token: it would
-/// end the sessions of those that have one.
+/// become free for the retry; they are not reserved. Not for a client that may have no token: it
+/// would end the sessions of those that have one.
 fn displace_for(client: Option<IpAddr>, offer: &ServerOffer, state: &ServerState) {
     if offer.token.is_none() {
         let _ = state.open_sessions.displace_for(client, Instant::now());

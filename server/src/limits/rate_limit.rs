@@ -44,8 +44,8 @@ pub struct RateLimiter {
 struct BucketTable {
     /// Tokens per second.
     rate: f64,
-    /// Buckets by network. Full ones are removed when the table reaches twice the number that the last
-    /// sweep left, and not below [`MIN_SWEEP_SIZE`].
+    /// Buckets by network. Full ones are removed when the table reaches twice the number that the
+    /// last sweep left, and not below [`MIN_SWEEP_SIZE`].
     buckets: Mutex<Buckets>,
 }
 
@@ -99,8 +99,8 @@ impl TokenBucket {
         self.target.is_some()
     }
 
-    /// Into how many equal shares a thread is divided if the rate of this bucket is one share. Rounded
-    /// up. 1 without a limit.
+    /// Into how many equal shares a thread is divided if the rate of this bucket is one share.
+    /// Rounded up. 1 without a limit.
     #[must_use]
     pub fn thread_shares(&self) -> usize {
         self.target.as_ref().map_or(1, |(_, table)| (1e6 / table.rate).ceil().max(1.0) as usize)

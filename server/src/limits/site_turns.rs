@@ -1,7 +1,7 @@
 //! Turns of sites at expensive work of requests: the rendering of tiles, handshakes of TLS.
 //!
-//! A semaphore of N permits grants them in order of arrival. A semaphore of each site lets at most N
-//! pieces of its work wait for those. So work waits for at most N pieces of each other site.
+//! A semaphore of N permits grants them in order of arrival. A semaphore of each site lets at most
+//! N pieces of its work wait for those. So work waits for at most N pieces of each other site.
 
 use crate::limits::networks::client_site;
 use std::collections::HashMap;

@@ -327,9 +327,10 @@ mod tests {
             (0, 1)
         );
 
-        // 10 ms pay for one of the 36 chunks, of 1.4 s together, and for those requested with it. The
-        // threads refill the bucket by the real time: on a busy machine it gets more, and chunks take
-        // longer. Up to 14 s of the one, and up to 3 s of the other, do not change the result.
+        // 10 ms pay for one of the 36 chunks, of 1.4 s together, and for those requested with it.
+        // The threads refill the bucket by the real time: on a busy machine it gets more, and
+        // chunks take longer. Up to 14 s of the one, and up to 3 s of the other, do not change the
+        // result.
         let tile = {
             let (map, generation, short) = (Arc::clone(&map), generation.clone(), bucket(100));
             short.charge_work(990_000, Instant::now());

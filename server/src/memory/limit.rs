@@ -99,8 +99,8 @@ impl MemoryLimit {
     }
 
     /// The memory in use that counts against the limit, bytes: that of all processes of the group,
-    /// or that of this process. Pages of files and caches of the kernel do not count, since the system
-    /// takes them back; version 1 does not say how much the latter are.
+    /// or that of this process. Pages of files and caches of the kernel do not count, since the
+    /// system takes them back; version 1 does not say how much the latter are.
     #[must_use]
     pub fn used_bytes(&self, files: &OpenFiles) -> Option<u64> {
         self.used(&|path| files.read(path))

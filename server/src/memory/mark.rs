@@ -1,13 +1,13 @@
 //! The memory mark: while the process uses more of its memory than a share, no further session
-//! begins, the selection of views stops, and the server sends no further chunks. The rest is for what
-//! open sessions hold. Below the mark as many sessions begin, and as many views are selected at once,
-//! as have room.
+//! begins, the selection of views stops, and the server sends no further chunks. The rest is for
+//! what open sessions hold. Below the mark as many sessions begin, and as many views are selected
+//! at once, as have room.
 //!
-//! Where few sessions have room below the mark, the caches are cleared; at the mark sessions end, too,
-//! if that was done within seconds and did not help. Open sessions may still take more memory, for
-//! what they have requested already. If the memory stays beyond the mark, sessions end, few at a time;
-//! close to the limit, many: otherwise the system would end the process, and with it every session.
-//! Those of the sites that have the most end first.
+//! Where few sessions have room below the mark, the caches are cleared; at the mark sessions end,
+//! too, if that was done within seconds and did not help. Open sessions may still take more memory,
+//! for what they have requested already. If the memory stays beyond the mark, sessions end, few at
+//! a time; close to the limit, many: otherwise the system would end the process, and with it every
+//! session. Those of the sites that have the most end first.
 
 use super::limit::{MemoryLimit, OpenFiles};
 use super::reclaim::{Pressure, Reclaim, Reclaimer};
@@ -58,7 +58,8 @@ impl MemoryMark {
         }
     }
 
-    /// Whether sessions have room, for some seconds if they had none. Otherwise `/readyz` answers 503.
+    /// Whether sessions have room, for some seconds if they had none. Otherwise `/readyz` answers
+    /// 503.
     #[must_use]
     pub fn is_ready(&self) -> bool {
         self.has_room.load(Ordering::Relaxed) && !self.is_unknown.load(Ordering::Relaxed)
@@ -70,8 +71,8 @@ impl MemoryMark {
         self.is_exceeded.load(Ordering::Relaxed)
     }
 
-    /// Takes the room of a session that begins, of a client whose site has `held` sessions; false if
-    /// there is none. A site gets no more than remains for others.
+    /// Takes the room of a session that begins, of a client whose site has `held` sessions; false
+    /// if there is none. A site gets no more than remains for others.
     #[must_use]
     pub fn admits(&self, client: Option<IpAddr>, held: usize) -> bool {
         self.is_below() && self.room.begin_session(client, held)

@@ -1,6 +1,6 @@
 //! Memory of the process: what it may use ([`limit`]), the mark beyond which no further session
-//! begins ([`mark`]), the room below it ([`room`]), which sessions end beyond it ([`shedding`]), and
-//! what goes back to the system then ([`reclaim`], [`heaps`]).
+//! begins ([`mark`]), the room below it ([`room`]), which sessions end beyond it ([`shedding`]),
+//! and what goes back to the system then ([`reclaim`], [`heaps`]).
 
 pub mod heaps;
 pub mod limit;
@@ -26,8 +26,8 @@ pub fn default_cache_mb(limit: Option<&MemoryLimit>) -> u64 {
     share.clamp(1, MOST_CACHE_MB)
 }
 
-/// Whether a chunk cache of so many bytes stays below the memory mark, with its map tiles and the pages
-/// of the allocator: 1.7 times as much. True without a known limit.
+/// Whether a chunk cache of so many bytes stays below the memory mark, with its map tiles and the
+/// pages of the allocator: 1.7 times as much. True without a known limit.
 #[must_use]
 pub fn has_room_for_cache(limit: Option<&MemoryLimit>, cache_bytes: u64) -> bool {
     limit.is_none_or(|limit| cache_bytes.saturating_mul(17) / 10 < room::mark(limit.bytes()))

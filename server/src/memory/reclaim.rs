@@ -12,17 +12,17 @@ const WAKE: Duration = Duration::from_millis(1);
 /// Time between two clears of the caches beyond the mark; below it [`REFILL`].
 const CLEAR_INTERVAL: Duration = Duration::from_secs(1);
 
-/// Caches that are cleared again within this time were not what filled the memory, unless less was in
-/// use between.
+/// Caches that are cleared again within this time were not what filled the memory, unless less was
+/// in use between.
 const REFILL: Duration = Duration::from_secs(10);
 
 /// Time between two requests for free pages where sessions have no room: if several threads return
-/// pages at the same time, mimalloc lets one of them give its pages to the system, and the others at
-/// their next request.
+/// pages at the same time, mimalloc lets one of them give its pages to the system, and the others
+/// at their next request.
 const RETURN_INTERVAL: Duration = Duration::from_millis(250);
 
-/// The same where they have room: each request takes the threads some milliseconds, and sessions fill
-/// the pages again.
+/// The same where they have room: each request takes the threads some milliseconds, and sessions
+/// fill the pages again.
 const EARLY_RETURN_INTERVAL: Duration = Duration::from_secs(5);
 
 /// A server with memory that it can do without.
@@ -72,8 +72,8 @@ enum Due {
 }
 
 impl Reclaimer {
-    /// Gives back what is due. Returns whether caches were cleared that had been cleared not long ago,
-    /// which did not help.
+    /// Gives back what is due. Returns whether caches were cleared that had been cleared not long
+    /// ago, which did not help.
     pub(super) fn look(&mut self, pressure: Pressure, now: Instant, server: &impl Reclaim) -> bool {
         let due = self.due(pressure, now);
         match due {

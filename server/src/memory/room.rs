@@ -2,7 +2,8 @@
 //! session: 2 MiB.
 //!
 //! A site gets no more room than remains for others, as with
-//! [`crate::limits::per_ip::PerIpLimiter::fair_share`]. The last of it is for sites with few sessions.
+//! [`crate::limits::per_ip::PerIpLimiter::fair_share`]. The last of it is for sites with few
+//! sessions.
 
 use crate::limits::networks::client_site;
 use std::collections::HashMap;
@@ -83,15 +84,15 @@ impl Room {
         Self { shares: Arc::new(Mutex::new(shares)) }
     }
 
-    /// Records the memory in use and its limit, bytes. With `is_next` an interval begins in which as
-    /// many sessions may begin as have room.
+    /// Records the memory in use and its limit, bytes. With `is_next` an interval begins in which
+    /// as many sessions may begin as have room.
     pub(super) fn record(&self, used: u64, limit: u64, is_next: bool) {
         let mut shares = self.shares();
         shares.left = room_below(used, limit);
         shares.reserved = kept(limit, RESERVED);
         if is_next {
-            // The tables of views that are being selected grow until the end. They take no room that is
-            // reserved.
+            // The tables of views that are being selected grow until the end. They take no room
+            // that is reserved.
             let beside_views = shares.left.saturating_sub(shares.views);
             shares.to_begin = beside_views.max(shares.left.min(shares.reserved));
             shares.refused = None;
@@ -101,8 +102,8 @@ impl Room {
         shares.to_begin = shares.to_begin.min(shares.left);
     }
 
-    /// Takes the room of a session that begins, of a client whose site has `held` sessions. False if
-    /// there is none.
+    /// Takes the room of a session that begins, of a client whose site has `held` sessions. False
+    /// if there is none.
     pub(super) fn begin_session(&self, client: Option<IpAddr>, held: usize) -> bool {
         let mut shares = self.shares();
         let Some(left) = shares.to_begin.checked_sub(1) else { return false };
@@ -124,8 +125,8 @@ impl Room {
         self.shares().left == 0
     }
 
-    /// Takes the room of a view that a session of a site selects; none if there is none. One view has
-    /// room always, of one site and then of another: below the mark sessions go on.
+    /// Takes the room of a view that a session of a site selects; none if there is none. One view
+    /// has room always, of one site and then of another: below the mark sessions go on.
     pub(super) fn begin_view(&self, site: Option<IpAddr>) -> Option<ViewRoom> {
         let mut shares = self.shares();
         let left = shares.left.checked_sub(shares.views + 1);

@@ -11,8 +11,8 @@ const CRITICAL_EIGHTHS: u64 = 7;
 /// next ones.
 const SHED: (usize, Duration) = (8, Duration::from_secs(1));
 
-/// The same beyond the critical share, while memory grows. In this time the memory of the first ones
-/// is given back.
+/// The same beyond the critical share, while memory grows. In this time the memory of the first
+/// ones is given back.
 const SHED_CRITICAL: (usize, Duration) = (2, Duration::from_millis(100));
 
 /// When sessions end.
@@ -26,8 +26,8 @@ pub(super) struct Shedding {
 }
 
 impl Shedding {
-    /// Which of the open sessions end now. With `is_refilled` the caches were cleared, not long after
-    /// the last time, which did not help.
+    /// Which of the open sessions end now. With `is_refilled` the caches were cleared, not long
+    /// after the last time, which did not help.
     pub(super) fn due(
         &mut self,
         used: u64,

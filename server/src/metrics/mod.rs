@@ -2,8 +2,8 @@
 //! in one process count separately.
 //!
 //! Names follow the Prometheus conventions: base units, `_total` for counters, and one family with
-//! an `outcome` or `reason` label instead of sibling counters. `docs/operations.md` lists them. Each
-//! submodule has those of one part of the server; registering a metric returns it.
+//! an `outcome` or `reason` label instead of sibling counters. `docs/operations.md` lists them.
+//! Each submodule has those of one part of the server; registering a metric returns it.
 
 mod disk_cache;
 mod generation;

@@ -138,7 +138,8 @@ struct Driver<'a, S> {
     socket: WebSocket<S>,
     state: &'a ServerState,
     session: ServerSession,
-    /// Chunks in generation, at most [`chunks::JOB_WINDOW`]; nothing more is requested while it is full.
+    /// Chunks in generation, at most [`chunks::JOB_WINDOW`]; nothing more is requested while it is
+    /// full.
     flow: Flow,
     /// Until when a view or a chunk waits, if one does, and for what.
     delay: Option<(Instant, Delay)>,
@@ -154,8 +155,8 @@ struct Driver<'a, S> {
     traces: ChunkTraces,
     /// Start times of the chunks in generation. At most [`chunks::JOB_WINDOW`].
     in_generation: Vec<(ChunkKey, Instant)>,
-    /// Start times and numbers of the chunks in the next flush. At most [`chunks::JOB_WINDOW`] and one
-    /// batch.
+    /// Start times and numbers of the chunks in the next flush. At most [`chunks::JOB_WINDOW`] and
+    /// one batch.
     unwritten: Vec<(Instant, u64)>,
     /// Cached chunks in the next flush, at most [`chunks::BATCH`].
     batch: u32,
@@ -190,7 +191,7 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
                         return end;
                     }
                     let begins = self.backoff.pause(Instant::now());
-                    self.state.metrics.limits.refusal_backoffs.inc_by(u64::from(begins));
+                    self.count_pause(begins);
                 }
                 () = sleep_until(self.message_deadline.by()), if pause.is_none() => {
                     if let Err(end) = self.enforce_message_deadline().await {

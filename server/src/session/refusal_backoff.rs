@@ -43,6 +43,11 @@ const MAX_BACKOFF: Duration = Duration::from_secs(5);
 /// rejections come before its end.
 const MIN_PAUSE: Duration = Duration::from_millis(10);
 
+/// A session that is paused for half of such a time, or longer, is named in the log. A client that
+/// waits after refusals, as the protocol asks, is paused for less, unless hundreds of sessions
+/// share a thread.
+const LOG_WINDOW: Duration = Duration::from_secs(10);
+
 /// The rejections of a session.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Rejections {
@@ -81,13 +86,16 @@ pub struct RefusalBackoff {
     pause: Option<Instant>,
     /// Until when little is read at once.
     cautious_until: Instant,
+    /// The end of the current [`LOG_WINDOW`], and the pauses in it that the log does not have yet.
+    window_end: Instant,
+    paused: Duration,
 }
 
 impl RefusalBackoff {
     /// A back-off that has ended.
     #[must_use]
     pub const fn new(now: Instant) -> Self {
-        Self { until: now, pause: None, cautious_until: now }
+        Self { until: now, pause: None, cautious_until: now, window_end: now, paused: Duration::ZERO }
     }
 
     /// Records rejections of a session with one of `sharers` equal shares of a thread. Returns
@@ -108,9 +116,23 @@ impl RefusalBackoff {
         let remaining = self.remaining(now);
         let begins = remaining >= MIN_PAUSE && self.paused_until(now).is_none();
         if begins {
-            self.pause = Some(now + remaining.min(MAX_PAUSE));
+            let length = remaining.min(MAX_PAUSE);
+            self.pause = Some(now + length);
+            if now >= self.window_end {
+                (self.window_end, self.paused) = (now + LOG_WINDOW, Duration::ZERO);
+            }
+            self.paused += length;
         }
         begins
+    }
+
+    /// Whether the session was paused for half of a [`LOG_WINDOW`] since this was last true.
+    pub fn take_excess(&mut self) -> bool {
+        let is_excess = self.paused >= LOG_WINDOW / 2;
+        if is_excess {
+            self.paused = Duration::ZERO;
+        }
+        is_excess
     }
 
     /// When the back-off ends; at most 5 s from the last rejection.
@@ -226,6 +248,28 @@ mod tests {
         backoff.record(requests(u64::MAX), usize::MAX, now);
         assert_eq!(backoff.read_size(now + MAX_BACKOFF), usize::MAX);
         assert!(!backoff.pause(now + MAX_BACKOFF));
+    }
+
+    #[test]
+    fn a_session_that_does_not_stop_is_logged_and_one_that_does_is_not() {
+        let start = Instant::now();
+        // Refused keys at once, again as soon as they are read or after the waits of the protocol:
+        // 50 ms, doubled up to 5 s.
+        for (is_polite, expected) in [(false, 6), (true, 0)] {
+            let (mut backoff, mut now, mut wait) = (RefusalBackoff::new(start), start, Duration::ZERO);
+            let mut logged = 0;
+            while now < start + 3 * LOG_WINDOW {
+                backoff.record(requests(512), 50, now);
+                while let Some(end) = backoff.paused_until(now) {
+                    logged += u32::from(backoff.take_excess());
+                    now = end;
+                    backoff.pause(now);
+                }
+                wait = (2 * wait).clamp(Duration::from_millis(50), Duration::from_secs(5));
+                now += if is_polite { wait } else { Duration::ZERO };
+            }
+            assert_eq!(logged, expected, "polite: {is_polite}");
+        }
     }
 
     #[test]

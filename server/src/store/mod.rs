@@ -415,8 +415,8 @@ impl Inner {
     }
 
     /// An object that does not exist is no error. Nor is one that may not be read: this is how S3
-    /// answers for an absent object to a client that may not list the bucket, and such answers would stop
-    /// all reads.
+    /// answers for an absent object to a client that may not list the bucket, and such answers
+    /// would stop all reads.
     fn found<T>(&self, result: object_store::Result<T>) -> object_store::Result<Option<T>> {
         match result {
             Ok(found) => Ok(Some(found)),

@@ -47,6 +47,13 @@ fn the_section_of_http_names_the_routes_of_the_router() {
     let gets = quoted(section).into_iter().filter(|name| name.starts_with("GET /")).map(path);
     let gets: BTreeSet<&str> = gets.collect();
     assert_eq!(gets, served);
+    // The router knows no suffix: both documents have to name it.
+    assert!(section.contains("`GET /v1/{digest}/map/{level}/{x}/{z}.png`"));
+    let openapi: serde_json::Value = serde_json::from_str(server::http::openapi::DOCUMENT).unwrap();
+    let tile = &openapi["paths"]["/v1/{digest}/map/{level}/{x}/{z}"]["get"]["parameters"];
+    let z = tile.as_array().unwrap().iter().find(|parameter| parameter["name"] == "z").unwrap();
+    assert!(z["schema"]["pattern"].as_str().unwrap().contains(".png"), "{z}");
+    assert!(section.contains("each axis from -4,194,304 to 4,194,303, else 404"), "the range of heights");
 }
 
 #[tokio::test]

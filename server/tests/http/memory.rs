@@ -29,8 +29,8 @@ async fn use_memory(server: &Server, group: &MemoryGroup, used_mib: u64) {
     }
 }
 
-/// Near the mark the sessions of one address leave the last room to others, and make place for them:
-/// before, an address that held the memory just below the mark kept out all others for ever.
+/// Near the mark the sessions of one address leave the last room to others, and make place for
+/// them: before, an address that held the memory just below the mark kept out all others for ever.
 #[tokio::test]
 async fn a_site_that_holds_the_memory_makes_place_for_a_client_of_another_one() {
     let (server, group) = server_in_group().await;

@@ -104,7 +104,8 @@ async fn requests_and_sessions_work_over_tls_and_a_new_certificate_is_taken() {
     assert!(connect(&server, SECOND).await.is_ok());
 }
 
-/// Handshakes of one site wait for each other, and no more of them than the half of the threads run.
+/// Handshakes of one site wait for each other, and no more of them than the half of the threads
+/// run.
 #[tokio::test]
 async fn a_handshake_waits_for_its_turn() {
     let folder = Folder::new("turns", FIRST);

@@ -1,8 +1,8 @@
 //! Streams of valid messages: every message, every extreme, in any order and in any frames. No such
 //! stream may end a session, and none may keep the task that accepts connections from its turn.
 //!
-//! The server runs on one thread here, so that all tasks wait for each other. Time is processor time
-//! of that thread: what other programs of the machine do does not count.
+//! The server runs on one thread here, so that all tasks wait for each other. Time is processor
+//! time of that thread: what other programs of the machine do does not count.
 //!
 //!     TOMBOLO_STREAM_MESSAGES=1000000 cargo test --release -p tombolo-server --test message_streams
 //!

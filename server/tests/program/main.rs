@@ -101,6 +101,7 @@ fn tokens_are_read_again_on_sighup() {
     std::fs::write(&path, "first\n").unwrap();
     let server = Server::start(&["--listen", "127.0.0.1:0", "--token-file", path.to_str().unwrap()]);
     assert_eq!((server.live("first"), server.live("second")), (200, 401));
+    assert_eq!((server.upgrade("first"), server.upgrade("second")), (101, 401));
     let reload = |content: &str| {
         std::fs::write(&path, content).unwrap();
         let killed = Command::new("kill").args(["-HUP", &server.child.id().to_string()]).status();
@@ -116,6 +117,8 @@ fn tokens_are_read_again_on_sighup() {
     };
     wait_until(&|| server.live("second") == 200);
     assert_eq!(server.live("first"), 401);
+    // A stolen token that was withdrawn begins no session.
+    assert_eq!((server.upgrade("first"), server.upgrade("second")), (401, 101));
     // An invalid file changes nothing but a metric, and SIGHUP does not end the server.
     let has_failed = |failed: u8| {
         let value = format!("tombolo_reload_failed{{file=\"tokens\"}} {failed}");

@@ -8,6 +8,7 @@ use server::limits::rate_limit::TokenBucket;
 use server::session::driver::{self, READ_LIMIT};
 use server::state::ServerState;
 use server::websocket::socket::WebSocket;
+use std::net::{IpAddr, Ipv4Addr};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
@@ -17,6 +18,9 @@ pub const BINARY: u8 = 2;
 pub const CLOSE: u8 = 8;
 pub const PING: u8 = 9;
 pub const PONG: u8 = 10;
+
+/// The address of all peers.
+pub const ADDRESS: IpAddr = IpAddr::V4(Ipv4Addr::new(192, 0, 2, 1));
 
 /// A view of 1 km from the start of the coordinates.
 pub fn view(id: u32) -> View {
@@ -41,7 +45,7 @@ impl Peer {
         let number = state.next_session.fetch_add(1, Ordering::Relaxed);
         tokio::spawn(async move {
             let socket = WebSocket::new(theirs, &[], READ_LIMIT);
-            let open = server.open_sessions.register(number, None);
+            let open = server.open_sessions.register(number, Some(ADDRESS));
             driver::serve(socket, &server, server.offer.clone(), open, bucket, None).await;
         });
         Self { io, state: Arc::clone(state) }

@@ -1,6 +1,6 @@
 //! The refusal back-off of sessions.
 
-use crate::peer::{BINARY, PING, PONG, Peer};
+use crate::peer::{ADDRESS, BINARY, PING, PONG, Peer};
 use protocol::control;
 use protocol::limits::MAX_KEYS;
 use protocol::message::{ClientMessage, RefusalReason, ServerMessage, WireKey};
@@ -103,4 +103,19 @@ async fn the_rejections_of_one_read_count_in_full() {
         assert_eq!(peer.next().await.unwrap().0, PONG);
     }
     assert!(before.elapsed().as_millis() < 10, "the back-off is over");
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_client_that_does_not_stop_is_named_in_the_log() {
+    for (requests, is_named) in [(2, false), (45, true)] {
+        let state = server_with_limit(Some(1));
+        let mut peer = Peer::connect(&state, state.rate_limiter.bucket(Some(ADDRESS))).await;
+        // A pause of 0.1 s before each KiB of them.
+        send_invalid_requests(&mut peer, requests, MAX_KEYS).await;
+        // The first event has its line already.
+        let (lines, _) = state.peer_log.take();
+        let named: Vec<_> = lines.iter().map(|line| (line.address, line.reason)).collect();
+        let expected = [(ADDRESS, "requests or views without end")];
+        assert_eq!(named, if is_named { &expected[..] } else { &[] }, "{requests} requests");
+    }
 }

@@ -132,8 +132,8 @@ async fn started(threads: &Threads, plant: Plant, pace: &Rc<Pace>) -> Server {
     Server::start(threads, plant, move || pace.next(plant)).await
 }
 
-/// One client until the end of the simulation: connects, acts, loses its connection, connects again.
-/// Returns the number of messages that it received.
+/// One client until the end of the simulation: connects, acts, loses its connection, connects
+/// again. Returns the number of messages that it received.
 async fn live(world: Rc<World>, number: u32, mut random: Random) -> Result<u64, String> {
     let mut client = Client::new(number, &mut random);
     sleep(Duration::from_millis(random.ms(0..300))).await;

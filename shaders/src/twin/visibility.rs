@@ -383,8 +383,8 @@ pub fn sloped_occludee<S: Slots>(
     let last = (GRID_TILES << TILE_BITS) - 1;
     let place = |x: i32, z: i32| ((west + x).clamp(0, last), (north + z).clamp(0, last));
     let step = 1 << STEP_BITS;
-    // In blocks with moved vertices the ground has other diagonals: its slopes may be greatest within
-    // a cell.
+    // In blocks with moved vertices the ground has other diagonals: its slopes may be greatest
+    // within a cell.
     for across in [-step, step, side + step] {
         for along in [-step, step, side + step] {
             let (x, z) = place(along, across);

@@ -2,7 +2,8 @@
 //!
 //! Run: `cargo run -p tombolo-terrain --example kernels`. The vector code through an interpreter
 //! that checks every access (minutes):
-//! `RUSTFLAGS="-C target-feature=+avx2" cargo +nightly miri run -p tombolo-terrain --example kernels`
+//! `RUSTFLAGS="-C target-feature=+avx2" cargo +nightly miri run -p tombolo-terrain --example
+//! kernels`
 
 mod digest;
 

@@ -10,8 +10,8 @@
 //!   7,000 nodes, some 0.1 ms.
 //! - Above, the bound is the whole range of heights.
 //!
-//! A measurement is short, because a server makes it within one turn of a session, which others wait
-//! for.
+//! A measurement is short, because a server makes it within one turn of a session, which others
+//! wait for.
 
 use super::RELIEF;
 use super::sampled::{self, sampled};
@@ -62,8 +62,8 @@ enum Entry {
     Sampled { next: u8, worst: sampled::Worst },
 }
 
-/// Two generations: when the younger is full, it becomes the older, and what was not asked for since
-/// is forgotten.
+/// Two generations: when the younger is full, it becomes the older, and what was not asked for
+/// since is forgotten.
 static MEMORY: Mutex<Option<[Errors; 2]>> = Mutex::new(None);
 
 /// What is remembered, by world seed and chunk.
@@ -236,8 +236,8 @@ const fn error_of_level(level: u8) -> Option<u32> {
 }
 
 /// Both generations. A full younger one becomes the older one. Their tables have all the room that
-/// they need from the start (8 MiB each, of which the system gives what is used): a table that grows
-/// moves all its entries at once, which takes up to 6 ms in the turn of one session.
+/// they need from the start (8 MiB each, of which the system gives what is used): a table that
+/// grows moves all its entries at once, which takes up to 6 ms in the turn of one session.
 fn generations(memory: &mut Option<[Errors; 2]>) -> &mut [Errors; 2] {
     let new = || Errors::with_capacity(REMEMBERED + MOST_AT_ONCE);
     let generations = memory.get_or_insert_with(|| [new(), new()]);

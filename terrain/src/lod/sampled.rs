@@ -2,8 +2,8 @@
 //!
 //! Inside a cell of the base lattice the land is `coast(S + R F, E)`: splines `S`, `R`, `E` of the
 //! 3 x 3 nodes around, and the fine octaves `F`. The weights `w` of a spline are not negative, add
-//! up to one, and the mean of the nodes' positions `p_i` under them is the point `p` itself. So with
-//! the drawn surface `D`,
+//! up to one, and the mean of the nodes' positions `p_i` under them is the point `p` itself. So
+//! with the drawn surface `D`,
 //!
 //! `S(p) - D(p) = Σ w_i (S(p_i) - D(p_i)) + Σ w_i (D(p_i) - D(p))`.
 //!
@@ -16,13 +16,13 @@
 //!   J_z)`. Nodes half a cell outside the chunk are compared with the planes of its outermost
 //!   triangles, whose slopes are among those.
 //! - `R F` is at most 21.93 m of the largest `R`.
-//! - The coast adds `34 m E` where `S + R F` is above 8 m. `E` is a spline with the same weights, so
-//!   there `S(p_i) + 34 m E(p_i)` takes the place of `S(p_i)`. Below -8 m it adds nothing. Between,
-//!   it adds at least -1.84 m (the beach) and at most `34 m E` and 1.84 m.
+//! - The coast adds `34 m E` where `S + R F` is above 8 m. `E` is a spline with the same weights,
+//!   so there `S(p_i) + 34 m E(p_i)` takes the place of `S(p_i)`. Below -8 m it adds nothing.
+//!   Between, it adds at least -1.84 m (the beach) and at most `34 m E` and 1.84 m.
 //!
-//! All are taken per vertex of the chunk, over the 2 x 2 vertex cells around it: they hold the nodes
-//! of every point that is nearer to this vertex than to others along both axes, because a vertex
-//! cell has at least 2 x 2 nodes.
+//! All are taken per vertex of the chunk, over the 2 x 2 vertex cells around it: they hold the
+//! nodes of every point that is nearer to this vertex than to others along both axes, because a
+//! vertex cell has at least 2 x 2 nodes.
 
 use crate::constants::{BEACH_M, CELLS, UNIT_BITS, UNITS_PER_METRE, VERTEX_COUNT, VERTICES};
 use crate::key::ChunkKey;
@@ -98,8 +98,8 @@ pub(super) const fn parts(key: ChunkKey) -> u8 {
 }
 
 /// The largest bound of a part of a chunk, row by row from its low corner. The chunk's vertex cells
-/// hold 2, 4 or 8 nodes along a side (levels 5 to 7). Evaluates all nodes under the part outside open
-/// sea, and those of one row and column of vertex cells before it.
+/// hold 2, 4 or 8 nodes along a side (levels 5 to 7). Evaluates all nodes under the part outside
+/// open sea, and those of one row and column of vertex cells before it.
 #[must_use]
 pub(super) fn sampled(land: &Land, key: ChunkKey, part: u8) -> Worst {
     let (columns, rows) = part_cells(key);
@@ -272,8 +272,8 @@ mod tests {
     use super::*;
     use crate::triangles::drawn_height_scaled;
 
-    /// The mean distance from a point to its nodes, which the bound of creases rests on: at most half
-    /// a cell, and the mean position is the point.
+    /// The mean distance from a point to its nodes, which the bound of creases rests on: at most
+    /// half a cell, and the mean position is the point.
     #[test]
     fn nodes_of_a_spline_lie_half_a_cell_from_its_point_in_their_mean() {
         let mut farthest = 0.0_f64;

@@ -27,6 +27,7 @@ const SCRIPT: &str = include_str!("run.sh");
 /// A build or a copy fails, or the archive is larger than [`LIMIT`].
 pub fn build() -> Result<()> {
     process::use_dist_profile();
+    let begun = machine::commit();
     process::run(process::build(&PROGRAMS)).context("gpu-bundle: the build failed")?;
     let folder = process::target().join("gpu-bundle");
     let root = folder.join("tombolo-gpu");
@@ -42,7 +43,7 @@ pub fn build() -> Result<()> {
         strip.arg("--strip-unneeded").arg(&copy);
         process::run(strip).context("gpu-bundle: `strip` (binutils) is needed")?;
     }
-    let commit = machine::commit();
+    let commit = begun.until(machine::commit());
     let state = if commit.is_clean { "" } else { " with uncommitted changes: a draft" };
     std::fs::write(root.join("commit"), format!("{}{state}\n", commit.hash)).context("gpu-bundle")?;
     let script = root.join("run.sh");

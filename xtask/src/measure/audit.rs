@@ -100,8 +100,8 @@ impl NearMisses {
         Self { rejected: with("rejected "), passed: with("passed "), has_failed: false }
     }
 
-    /// How many passed; none if one of [`NEAR_MISSES`] was not compared, or a test failed for another
-    /// reason.
+    /// How many passed; none if one of [`NEAR_MISSES`] was not compared, or a test failed for
+    /// another reason.
     fn passed(&self) -> Option<f64> {
         let is_compared = |what: &&str| self.rejected.iter().any(|name| name.contains(what));
         let is_known = !self.passed.is_empty() || NEAR_MISSES.iter().all(is_compared) && !self.has_failed;

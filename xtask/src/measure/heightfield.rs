@@ -1,8 +1,8 @@
 //! `heightfield`: the land's noise against other libraries, what comes on top of it, and the GPU's
 //! twin of it.
 //!
-//! Ratios come from `benches/noise-comparison`, a package outside the workspace: it needs a C++ compiler,
-//! which nothing else here does.
+//! Ratios come from `benches/noise-comparison`, a package outside the workspace: it needs a C++
+//! compiler, which nothing else here does.
 
 use super::run::Run;
 use crate::{fast_simd, process};
@@ -12,8 +12,8 @@ use bars::{Bar, Limit};
 use serde_json::{Value, json};
 
 /// Times that the comparisons are started. Where a program's code and buffers happen to lie is
-/// decided once per start and moves single figures by half, ours and of other libraries; the median start
-/// counts.
+/// decided once per start and moves single figures by half, ours and of other libraries; the median
+/// start counts.
 const STARTS: usize = 7;
 
 /// Rounds per start; all starts take half a minute on an idle machine, minutes on a busy one.

@@ -17,6 +17,7 @@ mod runs;
 mod streaming;
 mod websocket;
 
+use crate::machine;
 use crate::process;
 use crate::setup::{self, Extent};
 use anyhow::{Context, Result, bail};
@@ -71,6 +72,7 @@ pub fn run(name: &str) -> Result<()> {
         let known = MEASUREMENTS.map(|known| known.0).join(", ");
         bail!("measure: `{name}` is not known; give one of: {known}")
     };
+    let begun = machine::commit();
     if !programs.is_empty() {
         setup::run(Extent::Headless)?;
         process::run(process::build(programs)).context("measure: the build failed")?;
@@ -81,14 +83,14 @@ pub fn run(name: &str) -> Result<()> {
         Err(error) => {
             // A run that a person ended says nothing of what it measures.
             if !process::interrupted() {
-                record::write_failed(name).context("measure")?;
+                record::write_failed(name, &begun).context("measure")?;
             }
             return Err(error.context("measure"));
         }
     };
     run.notes.append(&mut run.faults);
     let heading = Heading { name, adapter: run.adapter.as_deref(), notes: &run.notes };
-    let path = record::write(&heading, &rows).context("measure")?;
+    let path = record::write(&heading, &rows, &begun).context("measure")?;
     judge(&rows, &path)
 }
 

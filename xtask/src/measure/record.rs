@@ -24,16 +24,17 @@ pub struct Heading<'a> {
 ///
 /// From a clean commit the run is appended to `docs/measurements/<date>-<machine>/runs.csv`, and
 /// the record `<name>.md` beside it shows the median of the runs of that commit on this machine, on
-/// any day, and beside it how often runs of all commits kept the bar. From a changed working tree a
-/// draft is written under `target/measure`, which no document may quote.
+/// any day, and beside it how often runs of all commits kept the bar. From a working tree that was
+/// changed, at the start of the run (`begun`) or since, a draft is written under `target/measure`,
+/// which no document may quote.
 ///
 /// # Errors
 /// The date is not known or a file cannot be written.
-pub fn write(heading: &Heading<'_>, rows: &[Bar]) -> Result<PathBuf> {
+pub fn write(heading: &Heading<'_>, rows: &[Bar], begun: &machine::Commit) -> Result<PathBuf> {
     let rows = &distinct(rows);
     let machine = machine::Machine::here();
     let date = machine::today()?;
-    let commit = machine::commit();
+    let commit = begun.until(machine::commit());
     let days = process::root().join(FOLDER);
     let folder = if commit.is_clean {
         days.join(format!("{date}-{}", machine.slug()))
@@ -50,7 +51,9 @@ pub fn write(heading: &Heading<'_>, rows: &[Bar]) -> Result<PathBuf> {
             .and_then(|runs| Ok((runs, of(None)?)))
             .with_context(|| format!("cannot read the runs in {}", days.display()))?
     } else {
-        println!("measure: the working tree differs from its commit; this record is a draft");
+        println!(
+            "measure: the working tree differs from its commit, or did so in the run; this record is a draft"
+        );
         Default::default()
     };
     let path = folder.join(heading.name).with_extension("md");
@@ -69,8 +72,8 @@ pub fn write(heading: &Heading<'_>, rows: &[Bar]) -> Result<PathBuf> {
 ///
 /// # Errors
 /// A file cannot be written.
-pub fn write_failed(name: &str) -> Result<()> {
-    let commit = machine::commit();
+pub fn write_failed(name: &str, begun: &machine::Commit) -> Result<()> {
+    let commit = begun.until(machine::commit());
     if !commit.is_clean {
         return Ok(());
     }

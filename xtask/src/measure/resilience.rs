@@ -1,5 +1,5 @@
-//! `resilience`: a server beside peers that flood, hang up, dribble or do not read, under a limit of
-//! memory, and over TLS; a viewer beside a server that sends garbage.
+//! `resilience`: a server beside peers that flood, hang up, dribble or do not read, under a limit
+//! of memory, and over TLS; a viewer beside a server that sends garbage.
 //!
 //! The benchmarks are those of `tombolo-server-bench`; that of valid messages is a test of the
 //! server, in its long form.

@@ -50,7 +50,8 @@ struct Verdicts {
 /// Builds the echo and runs the suite.
 ///
 /// # Errors
-/// The suite is not installed, the echo was not built or did not start, or the suite left no report.
+/// The suite is not installed, the echo was not built or did not start, or the suite left no
+/// report.
 pub fn rows(run: &mut Run) -> Result<Vec<Bar>> {
     let version = process::output(suite(&["--autobahnversion"]))
         .context("the suite cannot be run; docs/measuring.md says how to install it")?;

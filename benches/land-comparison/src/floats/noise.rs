@@ -1,6 +1,6 @@
 //! Gradient noise in floats (Perlin, "Improving Noise", 2002): the fine octaves on axes that are
-//! shared, and the octaves on turned lattices with their gradients. Cells are integers and fractions
-//! exact, as in the land.
+//! shared, and the octaves on turned lattices with their gradients. Cells are integers and
+//! fractions exact, as in the land.
 
 use super::hash::Hash;
 use super::lanes::{F8, I8};

@@ -1,9 +1,9 @@
 //! The page table: finds the drawn chunk at a position, and the highest point there.
 //!
-//! Quadtrees whose roots are a grid of equal squares. A leaf is a drawn chunk, and every node has the
-//! maximum height below it. The maximum pyramid of a chunk continues the tree below its leaf, so that
-//! a ray skips empty land, chunks and blocks by one test. Coordinates count from the north-west corner
-//! of the grid, a multiple of the side of a root.
+//! Quadtrees whose roots are a grid of equal squares. A leaf is a drawn chunk, and every node has
+//! the maximum height below it. The maximum pyramid of a chunk continues the tree below its leaf,
+//! so that a ray skips empty land, chunks and blocks by one test. Coordinates count from the
+//! north-west corner of the grid, a multiple of the side of a root.
 
 use rustc_hash::{FxHashMap, FxHashSet};
 use shaders::layout::{EMPTY_LINK, LEAF, MAX_ROOTS, NODES_PER_SLOT, PageNode, ShadowTarget};

@@ -51,8 +51,8 @@ pub const LEAST_DETAIL_OF_TREES: f64 = 0.5;
 const CROWN_M: f64 = 4.5;
 const LEAST_CROWN_PX: f64 = 3.0;
 
-/// Each tree is known at least up to here, metres, in images with fewer pixels too; at most as far as
-/// trees are culled one by one.
+/// Each tree is known at least up to here, metres, in images with fewer pixels too; at most as far
+/// as trees are culled one by one.
 const LEAST_KNOWN_M: f64 = 500.0;
 
 /// Factor of the near-plane distance inside which occlusion is not tested: covers targets off the

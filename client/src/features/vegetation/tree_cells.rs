@@ -115,8 +115,8 @@ impl TreePasses {
         }
     }
 
-    /// Records the writing of the cells, after the culling of the trees. `groups` are the bind groups
-    /// and the number of cells along a side of the grid; none clears the trees.
+    /// Records the writing of the cells, after the culling of the trees. `groups` are the bind
+    /// groups and the number of cells along a side of the grid; none clears the trees.
     pub fn record(
         &self,
         land: &wgpu::BindGroup,

@@ -25,7 +25,8 @@ use winit::window::WindowId;
 pub fn run(args: &Args, started: Instant) -> anyhow::Result<()> {
     args.stats.as_deref().map_or(Ok(()), |path| check_output("--stats", path))?;
     let event_loop = EventLoop::new().map_err(|error| {
-        // Of several lines: the first one states the cause, without a display and without a library.
+        // Of several lines: the first one states the cause, without a display and without a
+        // library.
         let error = error.to_string();
         let cause = error.lines().next().unwrap_or_default();
         anyhow!(

@@ -106,7 +106,7 @@ impl Worker {
             Ok(SessionEnd::Closing) | Err(SessionFault::Restart) => CloseCode::Normal,
             Ok(SessionEnd::Lost { .. }) => return ended.unwrap_or(SessionEnd::Closing),
             Err(SessionFault::Peer(fault)) => fault.close_code(),
-            Err(SessionFault::Distrust(_)) => CloseCode::Malformed,
+            Err(SessionFault::Untrusted(_)) => CloseCode::Malformed,
         };
         let frame = ws::CloseFrame { code: code.code().into(), reason: "".into() };
         // Best effort: a failed closing handshake changes nothing.

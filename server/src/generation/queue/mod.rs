@@ -139,8 +139,8 @@ impl Queue {
         self.add_turn(path.site);
     }
 
-    /// Stops all views, or has them go on. While they are stopped their flows have turns for chunks.
-    /// Returns how many go on.
+    /// Stops all views, or has them go on. While they are stopped their flows have turns for
+    /// chunks. Returns how many go on.
     pub fn stop_views(&mut self, is_stopped: bool) -> usize {
         self.has_stopped_views = is_stopped;
         if is_stopped {
@@ -155,8 +155,8 @@ impl Queue {
         count
     }
 
-    /// The stopped views of sessions that have ended. They hold memory: the caller drops them without
-    /// the lock of the queue.
+    /// The stopped views of sessions that have ended. They hold memory: the caller drops them
+    /// without the lock of the queue.
     pub fn take_ended_views(&mut self) -> Vec<Box<ViewJob>> {
         let ended = self.stopped_views.extract_if(.., |(_, view)| view.completion.is_closed());
         ended.map(|(_, view)| view).collect()

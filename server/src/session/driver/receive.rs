@@ -24,8 +24,8 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
         Err(self.ended(end).await)
     }
 
-    /// Ends the session if its unfinished message is overdue. Reads once more before: a long write may
-    /// have kept the session from bytes that had arrived.
+    /// Ends the session if its unfinished message is overdue. Reads once more before: a long write
+    /// may have kept the session from bytes that had arrived.
     pub(super) async fn enforce_message_deadline(&mut self) -> Result<(), SessionEnd> {
         if let Some(read) = self.read_now().await {
             self.read_ended(read).await?;
@@ -47,8 +47,8 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
         let admitted = self.session.waiting_requests();
         let mut message_ended = false;
         while let Some(is_data) = self.receive_message().await? {
-            // A Ping or Pong between the fragments of a message does not end it. Bytes after any other
-            // one belong to a new message, whose deadline begins.
+            // A Ping or Pong between the fragments of a message does not end it. Bytes after any
+            // other one belong to a new message, whose deadline begins.
             message_ended |= is_data || !self.socket.is_fragmented();
             yield_now().await;
         }
@@ -77,8 +77,8 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
         Ok(())
     }
 
-    /// Handles the next message. True for a data message, false for a Ping, Pong or Close; none if no
-    /// whole one has arrived.
+    /// Handles the next message. True for a data message, false for a Ping, Pong or Close; none if
+    /// no whole one has arrived.
     pub(super) async fn receive_message(&mut self) -> Result<Option<bool>, SessionEnd> {
         let incoming = match self.socket.next_message() {
             Ok(None) => return Ok(None),
