@@ -168,5 +168,5 @@ fn memory_that_is_exhausted_counts_as_a_loss_and_a_wrong_call_does_not() {
     drop(gpu.device.create_buffer(&descriptor));
     assert!(gpu.check().is_err() && gpu.loss().is_none());
     exhaust(&gpu.device);
-    assert!(gpu.loss().is_some_and(|cause| cause.contains("memory")), "{:?}", gpu.loss());
+    assert!(gpu.loss().is_some_and(|cause| cause.contains("Memory")), "{:?}", gpu.loss());
 }

@@ -4,7 +4,8 @@
 //! The server runs on one thread here, so that all tasks wait for each other. Time is processor
 //! time of that thread: what other programs of the machine do does not count.
 //!
-//!     TOMBOLO_STREAM_MESSAGES=1000000 cargo test --release -p tombolo-server --test message_streams
+//!     TOMBOLO_STREAM_MESSAGES=1000000 cargo test --release -p tombolo-server \
+//!         --test message_streams
 //!
 //! sends so many messages in all; then a turn may take 50 ms at most. `TOMBOLO_STREAM_SEED` chooses
 //! other streams, `TOMBOLO_STREAM_REPORT` a file for the figures and bars.

@@ -1,6 +1,7 @@
 //! Names in documents: files, links, examples, programs, options and metrics must exist.
 
 use super::{Files, Finding};
+use std::collections::BTreeSet;
 
 /// Extensions of names that are taken for files.
 const FILE_EXTENSIONS: [&str; 16] = [
@@ -13,7 +14,7 @@ const TARGETS: [(&str, &str); 3] =
     [("--example ", "examples"), ("--test ", "tests"), ("--bench ", "benches")];
 
 /// Options of programs that are not the project's.
-const FOREIGN_OPTIONS: [&str; 28] = [
+const FOREIGN_OPTIONS: [&str; 34] = [
     "bench",
     "release",
     "bin",
@@ -42,12 +43,19 @@ const FOREIGN_OPTIONS: [&str; 28] = [
     "all",
     "no-healthcheck",
     "from-literal",
+    "unshallow",
+    "now",
+    "build",
+    "scale",
+    "wait",
+    "stop",
 ];
 
 /// Names in Markdown outside the records of measurements.
 pub fn check(files: &Files) -> Vec<Finding> {
     let rust: Vec<&str> = files.with_extension(&["rs"]).map(|(_, text)| text).collect();
     let known = |needle: &str| rust.iter().any(|text| text.contains(needle));
+    let known_options = defined_options(files);
     let mut found = Vec::new();
     for (path, text) in files.with_extension(&["md"]) {
         // The changelog names what has gone.
@@ -77,12 +85,7 @@ pub fn check(files: &Files) -> Vec<Finding> {
                 }
             }
             for option in options(line) {
-                let field = option.replace('-', "_");
-                let is_known = FOREIGN_OPTIONS.contains(&option)
-                    || known(&format!("\"{option}\""))
-                    || known(&format!("--{option}"))
-                    || known(&format!("{field}: "));
-                if !is_known {
+                if !FOREIGN_OPTIONS.contains(&option) && !known_options.contains(option) {
                     missing(format!("option --{option}, which no program has"));
                 }
             }
@@ -94,6 +97,33 @@ pub fn check(files: &Files) -> Vec<Finding> {
         }
     }
     found
+}
+
+/// Options that the programs define, as fields with `#[arg(...)]` and their other names, and those
+/// that they pass to other programs. Not those of tests, and not the examples of this module.
+fn defined_options(files: &Files) -> BTreeSet<String> {
+    let mut options = BTreeSet::new();
+    let is_source = |path: &str| !path.contains("/tests") && !path.starts_with("xtask/src/source/");
+    for (_, text) in files.with_extension(&["rs"]).filter(|(path, _)| is_source(path)) {
+        let text = text.split("#[cfg(test)]\nmod tests {").next().unwrap_or(text);
+        let mut lines = text.lines().map(str::trim);
+        while lines.by_ref().any(|line| line.starts_with("#[arg(")) {
+            options.extend(lines.by_ref().find_map(field).map(|name| name.replace('_', "-")));
+        }
+        for start in ["long = \"", "alias = \"", "\"--"] {
+            options.extend(words_after(text, start).filter(|name| !name.is_empty()).map(str::to_owned));
+        }
+    }
+    options
+}
+
+/// The name of the field that a line declares.
+fn field(line: &str) -> Option<&str> {
+    let (before, _) = line.split_once(": ").filter(|_| !line.starts_with(['/', '#']))?;
+    let name = before.rsplit(' ').next()?;
+    let is_name = name.chars().all(|c| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_');
+    let has_words = !before[..before.len() - name.len()].trim_end().contains(' ');
+    (is_name && !name.is_empty() && has_words).then_some(name)
 }
 
 /// Targets of relative links, without fragments.
@@ -197,7 +227,10 @@ mod tests {
             ("docs/b.md", ""),
             (
                 "server/src/metrics.rs",
-                "register(\"views\"); register(\"view_seconds\"); /// --listen\ncache_mb: u64,",
+                "register(\"views\"); register(\"view_seconds\");\n\
+                 #[arg(\nvalue_name = \"MB\"\n)]\npub cache_mb: u64,\nold_field: u64,\n\
+                 #[arg(long = \"listen\")]\npub(crate) address: String,\n\
+                 #[cfg(test)]\nmod tests {\n#[arg(long)]\nof_tests: u64,",
             ),
             ("terrain/examples/kernels.rs", ""),
             ("server/tests/http/main.rs", ""),
@@ -216,6 +249,8 @@ mod tests {
             "cargo bench --bench framing",
             "`deploy/nginx/nowhere.conf`",
             "`--no-such-thing` bounds it",
+            "`--old-field` is a field and no option",
+            "`--of-tests` is an option of a test",
             "`tombolo_nothing_total` counts",
         ] {
             assert_eq!(found(line), 1, "{line}");
@@ -229,7 +264,7 @@ mod tests {
             "open `server/src/metrics.rs`, `metrics.rs`, `server/`",
             "cargo run --release --example kernels",
             "cargo test --test http",
-            "`--listen` and `--cache-mb 5`, a -- dash",
+            "`--listen` and `--cache-mb 5`, `--address`, a -- dash",
             "`tombolo_views_total`, `tombolo_view_seconds_bucket`",
         ] {
             assert_eq!(found(line), 0, "{line}");
