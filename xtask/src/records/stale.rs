@@ -363,18 +363,36 @@ fn ages_with_text(name: &str) -> bool {
     OF_TESTS.contains(&name) || WITHOUT_COMPILER.contains(&name)
 }
 
-/// Whether a Rust file of the working tree has the code that it had at a commit: tests and comments
-/// decide no figure of most measurements. False for a file that is new or gone.
+/// Whether a Rust, WESL or TOML file of the working tree has the code that it had at a commit:
+/// tests and comments decide no figure of most measurements. False for a file that is new or gone.
 fn keeps_code(commit: &str, path: &str) -> bool {
-    if !path.ends_with(".rs") {
-        return false;
-    }
+    let Some(have_equal) = comparison(path) else { return false };
     let mut git = process::command("git");
     git.args(["show", &format!("{commit}:{path}")]);
     match (process::output(git), std::fs::read_to_string(process::root().join(path))) {
-        (Ok(before), Ok(now)) => have_equal_code(&before, &now),
+        (Ok(before), Ok(now)) => have_equal(&before, &now),
         _ => false,
     }
+}
+
+/// How the code of two versions of a file is compared; none for a kind of file without a
+/// comparison.
+fn comparison(path: &str) -> Option<fn(&str, &str) -> bool> {
+    match path.rsplit_once('.')?.1 {
+        "rs" => Some(have_equal_code),
+        "wesl" | "wgsl" => Some(|before, now| have_equal_lines(before, now, "//")),
+        "toml" => Some(|before, now| have_equal_lines(before, now, "#")),
+        _ => None,
+    }
+}
+
+/// Whether two texts differ in empty lines and lines of comments alone.
+fn have_equal_lines(before: &str, now: &str, comment: &str) -> bool {
+    let lines = |text: &str| -> Vec<String> {
+        let is_code = |line: &&str| !line.trim().is_empty() && !line.trim_start().starts_with(comment);
+        text.lines().filter(is_code).map(str::to_owned).collect()
+    };
+    lines(before) == lines(now)
 }
 
 #[cfg(test)]

@@ -202,3 +202,15 @@ fn the_first_commit_is_stale_for_every_measurement() {
         assert!(reason(name, first).is_some(), "{name}");
     }
 }
+
+#[test]
+fn comments_of_shaders_and_manifests_do_not_count() {
+    for (path, before, comment, code) in [
+        ("a.wesl", "// One.\nfn f() {}\n", "// Two.\n\n    // More.\nfn f() {}\n", "// One.\nfn f() { }\n"),
+        ("Cargo.toml", "# One.\na = 1\n", "a = 1\n", "# One.\na = 2\n"),
+    ] {
+        let have_equal = comparison(path).unwrap();
+        assert!(have_equal(before, comment) && !have_equal(before, code), "{path}");
+    }
+    assert!(comparison("a.png").is_none() && comparison("Dockerfile").is_none());
+}
