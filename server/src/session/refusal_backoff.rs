@@ -126,7 +126,7 @@ impl RefusalBackoff {
         begins
     }
 
-    /// Whether the session was paused for half of a [`LOG_WINDOW`] since this was last true.
+    /// Whether the session was paused for 5 s of 10 s since this was last true.
     pub fn take_excess(&mut self) -> bool {
         let is_excess = self.paused >= LOG_WINDOW / 2;
         if is_excess {
