@@ -26,6 +26,14 @@ impl Loss {
             Self::OutOfMemory => exhaust(device),
         }
     }
+
+    /// A word of its message.
+    const fn word(self) -> &'static str {
+        match self {
+            Self::Destroyed => "lost",
+            Self::OutOfMemory => "Memory",
+        }
+    }
 }
 
 /// Allocates more than any address space, in textures within the limits of a device: the first one
@@ -148,7 +156,7 @@ fn the_picture_after_a_lost_device_equals_the_one_before() {
             let gpu = Gpu::open_blocking().unwrap();
             let without = draw(&gpu, &Options { gpu_rebuilds: 0, ..options() }, loss, Some(polls));
             let reason = without.expect_err("a lost device draws nothing").to_string();
-            assert!(reason.contains("--chunk-mb"), "{reason}");
+            assert!(reason.contains(loss.word()) && reason.contains("--chunk-mb"), "{reason}");
         }
     }
 }

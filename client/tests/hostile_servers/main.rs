@@ -3,9 +3,11 @@
 //! bounds.
 
 mod server;
+mod wrong_chunks;
 
 use bytes::Bytes;
 use client::camera::Projection;
+use client::lod::Selection;
 use client::native::stream::{EVENT_CAPACITY, ServerStream, Settings, Timeouts};
 use client::settings::RenderSettings;
 use client::stream::streamer::{Link, WorldStreamer};
@@ -13,16 +15,17 @@ use client::stream::trust::MAX_BAD;
 use client::stream::{ChunkStream as _, Traffic};
 use client::view::ViewParams;
 use protocol::client::{ClientConfig, ClientSession, Event};
-use protocol::limits::{CHUNK_HEADER, MAX_SERVER_FRAME};
+use protocol::limits::MAX_SERVER_FRAME;
 use protocol::message::{ServerMessage, Settled, Welcome};
-use protocol::{DataFrame, Delivery, SUBPROTOCOL, chunk_codec};
+use protocol::{DataFrame, Delivery, SUBPROTOCOL};
 use server::{Behaviour, HostileServer};
 use std::io::Write as _;
 use std::net::TcpStream;
 use std::sync::{Arc, Mutex, OnceLock};
 use std::time::{Duration, Instant};
-use terrain::{Chunk, ChunkKey, WorldDigest};
+use terrain::WorldDigest;
 use tokio_tungstenite::tungstenite::{ClientRequestBuilder, Message, WebSocket, connect};
+use wrong_chunks::{WRONG_CHUNKS, Wrong, far_away, with_heights, with_wrong_digest, wrong_key};
 
 /// Slots of the chunk cache.
 const CAPACITY: u32 = 256;
@@ -84,6 +87,16 @@ fn view() -> ViewParams {
 /// Runs a viewer against a server until it is given up, the view is complete, or so many sessions
 /// were lost.
 fn run_on(behaviour: Behaviour, change: impl Fn(Settings) -> Settings, most_sessions: usize) -> Outcome {
+    run_watched(behaviour, change, most_sessions, |_, _| ())
+}
+
+/// [`run_on`] with a callback for each frame: the number of chunks that are bad or refused, and the selection.
+fn run_watched(
+    behaviour: Behaviour,
+    change: impl Fn(Settings) -> Settings,
+    most_sessions: usize,
+    mut watch: impl FnMut(usize, &Selection),
+) -> Outcome {
     let server = HostileServer::start(behaviour);
     let settings = Settings { timeouts: LONG, ..Settings::new(server.url().parse().unwrap()) };
     let stream = ServerStream::connect(change(settings)).unwrap();
@@ -93,6 +106,7 @@ fn run_on(behaviour: Behaviour, change: impl Fn(Settings) -> Settings, most_sess
     loop {
         // One event at a time, so that every state is seen.
         let selection = streamer.update(&view(), started.elapsed(), 1, |_| ());
+        watch(streamer.missed(), &selection);
         let is_complete = streamer.is_settled() && selection.is_complete();
         let (link, traffic) = (streamer.link().clone(), streamer.stream().traffic());
         assert!(streamer.cache().len() <= CAPACITY as usize && traffic.waiting_events <= EVENT_CAPACITY);
@@ -124,97 +138,11 @@ fn run_short(behaviour: Behaviour, most_sessions: usize) -> Outcome {
     run_on(behaviour, |settings| Settings { timeouts: SHORT, ..settings }, most_sessions)
 }
 
-fn far_away() -> ChunkKey {
-    ChunkKey::new(0, 30_000, 30_000).unwrap()
-}
-
-fn with_wrong_digest(key: ChunkKey) -> Option<Bytes> {
-    let mut frame = server::correct(key).to_vec();
-    frame[CHUNK_HEADER + 9] ^= 1;
-    Some(frame.into())
-}
-
-fn with_absurd_error(key: ChunkKey) -> Option<Bytes> {
-    Some(server::frame_of(&Chunk { error: u32::MAX, ..server::land().chunk(key) }))
-}
-
-/// Run-length blocks that decompress to 115 MiB, RFC 8878 section 3.1.1.2.
-fn bomb(key: ChunkKey) -> Option<Bytes> {
-    let frame = server::correct(key);
-    let runs = [[0x02, 0x00, 0x10, 0xaa].repeat(899), vec![0x03, 0x00, 0x10, 0xaa]].concat();
-    let part = [&[0x28, 0xb5, 0x2f, 0xfd, 0xa0, 0xff, 0xff, 0xff, 0xff], &runs[..]].concat();
-    let grass = &frame[CHUNK_HEADER..CHUNK_HEADER + 5];
-    let payload = [grass, &[0], &(part.len() as u16).to_le_bytes(), &part].concat();
-    Some(server::with_payload(&frame, &payload))
-}
-
-fn wrong_key(_: ChunkKey) -> Option<Bytes> {
-    Some(server::correct(far_away()))
-}
-
-/// Lowest and highest height in each other's place, with a digest that fits.
-fn swapped_extremes(key: ChunkKey) -> Option<Bytes> {
-    let mut frame = server::correct(key).to_vec();
-    let (lowest, highest) = (20..24, 24..28);
-    let [low, high] = [lowest.clone(), highest.clone()].map(|field| frame[field].to_vec());
-    assert_ne!(low, high, "{key} has relief");
-    frame[lowest].copy_from_slice(&high);
-    frame[highest].copy_from_slice(&low);
-    Some(resealed(frame))
-}
-
-/// Patterns of NaN in place of the payload, or of all numbers of the header, with a digest that
-/// fits.
-fn nan_payload(key: ChunkKey) -> Option<Bytes> {
-    let mut frame = server::correct(key).to_vec();
-    for (byte, pattern) in frame[CHUNK_HEADER..].iter_mut().zip(NAN.into_iter().cycle()) {
-        *byte = pattern;
-    }
-    Some(resealed(frame))
-}
-
-fn nan_header(key: ChunkKey) -> Option<Bytes> {
-    let mut frame = server::correct(key).to_vec();
-    for number in frame[16..36].chunks_exact_mut(4) {
-        number.copy_from_slice(&NAN);
-    }
-    Some(resealed(frame))
-}
-
-/// The quiet NaN of a 32-bit float.
-const NAN: [u8; 4] = 0x7fc0_0000_u32.to_le_bytes();
-
-fn resealed(mut frame: Vec<u8>) -> Bytes {
-    chunk_codec::rewrite_digest(&mut frame, &server::land().digest(), None);
-    frame.into()
-}
-
 /// A connection as the server sees it.
 type Peer = WebSocket<TcpStream>;
 
 /// Behaviour of a server on a connection.
 type Act = Arc<dyn Fn(&mut Peer) + Send + Sync>;
-
-type Wrong = fn(ChunkKey) -> Option<Bytes>;
-
-/// Wrong chunks, with what the viewer says of them.
-const WRONG_CHUNKS: [(&str, Wrong, &str); 9] = [
-    ("wrong key", wrong_key, "neither requested nor needed"),
-    ("wrong digest", with_wrong_digest, "digest"),
-    ("out of range", with_absurd_error, "larger than the range"),
-    ("decompression bomb", bomb, "decompress"),
-    ("another version", |key| changed(key, 4), "version"),
-    ("cut off", |key| Some(server::correct(key).slice(..40)), "truncated"),
-    ("swapped extremes", swapped_extremes, "extremes"),
-    ("a header of NaN", nan_header, "breaks a rule"),
-    ("a payload of NaN", nan_payload, "cut off"),
-];
-
-fn changed(key: ChunkKey, at: usize) -> Option<Bytes> {
-    let mut frame = server::correct(key).to_vec();
-    frame[at] ^= 0x40;
-    Some(frame.into())
-}
 
 #[test]
 fn a_server_of_wrong_chunks_is_given_up_with_what_was_wrong() {
@@ -246,44 +174,35 @@ fn coarser_land_is_drawn_in_place_of_bad_chunks() {
     const BAD: usize = 3;
     let (coarsest, bad) = (OnceLock::new(), Arc::new(Mutex::new(Vec::new())));
     let sent = Arc::clone(&bad);
-    let server = HostileServer::start(server::always_wrong(move |key| {
+    let behaviour = server::always_wrong(move |key| {
         let mut sent = sent.lock().unwrap();
         if key.level() == *coarsest.get_or_init(|| key.level()) || sent.len() == BAD || sent.contains(&key) {
             return Some(server::correct(key));
         }
         sent.push(key);
         with_wrong_digest(key)
-    }));
-    let settings = Settings { timeouts: LONG, ..Settings::new(server.url().parse().unwrap()) };
-    let mut streamer = WorldStreamer::new(ServerStream::connect(settings).unwrap(), CAPACITY);
-    let (started, mut looks, mut was_drawn) = (Instant::now(), 0, false);
-    loop {
-        let selection = streamer.update(&view(), started.elapsed(), 1, |_| ());
-        // Once the coarsest level is there, something is drawn in each frame.
-        was_drawn |= !selection.drawn.is_empty();
-        if was_drawn && streamer.missed() == BAD {
-            looks += 1;
-            assert!(!selection.is_complete());
-            for key in bad.lock().unwrap().iter() {
-                let above = std::iter::successors(key.parent(), |key| key.parent());
-                let is_drawn = |key| selection.drawn.iter().any(|drawn| drawn.key == key);
-                assert_eq!(above.filter(|key| is_drawn(*key)).count(), 1, "above {key:?}");
+    });
+    let (mut frames, mut was_drawn) = (0, false);
+    let outcome = run_watched(
+        behaviour,
+        |settings| settings,
+        100,
+        |missed, selection| {
+            // Once the coarsest level is there, something is drawn in each frame.
+            was_drawn |= !selection.drawn.is_empty();
+            if was_drawn && missed == BAD {
+                frames += 1;
+                assert!(!selection.is_complete());
+                for key in bad.lock().unwrap().iter() {
+                    let above = std::iter::successors(key.parent(), |key| key.parent());
+                    let is_drawn = |key| selection.drawn.iter().any(|drawn| drawn.key == key);
+                    assert_eq!(above.filter(|key| is_drawn(*key)).count(), 1, "above {key:?}");
+                }
             }
-        }
-        if streamer.is_settled() && selection.is_complete() {
-            break;
-        }
-        assert!(started.elapsed() < Duration::from_secs(120), "{:?}", streamer.link());
-        std::thread::sleep(MS(1));
-    }
-    assert!(looks > 0, "the three were missing at the same time");
-}
-
-/// The chunk of a key with other heights.
-fn with_heights(key: ChunkKey, height: impl Fn(i32) -> i32) -> Option<Bytes> {
-    let Chunk { mut heights, error, grass, .. } = server::land().chunk(key);
-    heights.iter_mut().for_each(|value| *value = height(*value));
-    Some(server::frame_of(&Chunk::from_parts(key, heights, error, grass)))
+        },
+    );
+    assert!(outcome.is_complete, "{:?}", outcome.link);
+    assert!(frames > 0, "the three were missing at the same time");
 }
 
 /// A viewer of exact chunks does not know the land: heights that keep the rules are drawn.
