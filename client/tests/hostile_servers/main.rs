@@ -90,7 +90,8 @@ fn run_on(behaviour: Behaviour, change: impl Fn(Settings) -> Settings, most_sess
     run_watched(behaviour, change, most_sessions, |_, _| ())
 }
 
-/// [`run_on`] with a callback for each frame: the number of chunks that are bad or refused, and the selection.
+/// [`run_on`] with a callback for each frame: the number of chunks that are bad or refused, and the
+/// selection.
 fn run_watched(
     behaviour: Behaviour,
     change: impl Fn(Settings) -> Settings,
