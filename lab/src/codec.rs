@@ -371,14 +371,14 @@ mod tests {
     fn a_lossy_codec_and_a_control_that_holds_are_errors() {
         let good = measure(&Options { turns: 3, chunks: 16, world_seed: 1, lerc: None }).unwrap();
         verdict(&good).unwrap();
-        let spoiled = |spoil: fn(&mut Row), codec: &str| {
+        let corrupted = |corrupt: fn(&mut Row), codec: &str| {
             let mut report = good.clone();
-            report.rows.iter_mut().filter(|row| row.codec == codec).for_each(spoil);
+            report.rows.iter_mut().filter(|row| row.codec == codec).for_each(corrupt);
             verdict(&report).unwrap_err().to_string()
         };
-        assert!(spoiled(|row| row.lossless = false, COMPACT).contains("lose something"));
-        assert!(spoiled(|row| row.lossless = true, LOSSY).contains("control"));
-        assert!(spoiled(|row| row.of_entropy = 1.1, COMPACT).contains("the bar is at most 1.080 x"));
+        assert!(corrupted(|row| row.lossless = false, COMPACT).contains("lose something"));
+        assert!(corrupted(|row| row.lossless = true, LOSSY).contains("control"));
+        assert!(corrupted(|row| row.of_entropy = 1.1, COMPACT).contains("the bar is at most 1.080 x"));
     }
 
     #[test]

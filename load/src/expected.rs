@@ -67,7 +67,7 @@ impl ExpectedChunks {
         if self.views.len() == self.max_views {
             self.views.pop_front();
         }
-        self.views.push_back((view.id, view.viewer(), view.viewer_ahead()));
+        self.views.push_back((view.id, view.viewer(), view.prefetch_viewer()));
     }
 
     /// The chunks of a view that is remembered.
@@ -166,8 +166,8 @@ impl ExpectedChunks {
 
     fn is_needed_by_a_view(&self, key: ChunkKey) -> bool {
         // Newest first: it nearly always matches.
-        self.views.iter().rev().any(|(_, viewer, ahead)| {
-            [Some(viewer), ahead.as_ref()]
+        self.views.iter().rev().any(|(_, viewer, prefetch)| {
+            [Some(viewer), prefetch.as_ref()]
                 .into_iter()
                 .flatten()
                 .any(|viewer| is_needed(&self.land, viewer, key))

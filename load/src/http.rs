@@ -7,7 +7,7 @@ use crate::checker::ChunkChecker;
 use crate::dial::Dial;
 use crate::keys::Keys;
 use crate::schedule::{Action, Schedule};
-use crate::session::STALL;
+use crate::session::MIN_ABANDONED_WAIT;
 use crate::task::{GRACE, HANDSHAKE_TIMEOUT, STALL_TIMEOUT, SessionEnd, Task};
 use bytes::Bytes;
 use connection::{Connection, Response};
@@ -137,7 +137,7 @@ impl<'t, 'a, D: Dial> HttpClient<'t, 'a, D> {
             if let Some(end) = end {
                 // An interrupt cuts off an open loop too.
                 let is_open = schedule.is_open() && !task.interrupt.is_cancelled();
-                if is_open || since.elapsed() >= STALL {
+                if is_open || since.elapsed() >= MIN_ABANDONED_WAIT {
                     task.counters.abandoned(since.elapsed());
                 } else {
                     task.counters.unanswered(1);

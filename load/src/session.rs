@@ -46,7 +46,7 @@ const WINDOW_SLOW: u32 = MAX_CREDITS;
 
 /// A request that is not answered at the end of its session counts as a latency if it has waited so
 /// long. A younger one is counted as unanswered only.
-pub const STALL: Duration = Duration::from_secs(1);
+pub const MIN_ABANDONED_WAIT: Duration = Duration::from_secs(1);
 
 /// Longest time to read the frames that arrived before a write failed.
 const LAST_FRAMES_WITHIN: Duration = Duration::from_secs(1);
@@ -334,7 +334,7 @@ impl<'t, 'a, D: Dial> Session<'t, 'a, D> {
         for since in self.expected.waiting_since().chain(poses) {
             match now.saturating_duration_since(since) {
                 // The server had enough time: the wait is a lower bound of the latency.
-                waited if has_waited || waited >= STALL => self.task.counters.abandoned(waited),
+                waited if has_waited || waited >= MIN_ABANDONED_WAIT => self.task.counters.abandoned(waited),
                 // It was sent just before the end of the session.
                 _ => self.task.counters.unanswered(1),
             }

@@ -57,7 +57,7 @@ async fn stalled_over(config: LoadConfig) -> Report {
     report
 }
 
-async fn calm(mode: Mode, rate: Option<f64>) -> Report {
+async fn unloaded(mode: Mode, rate: Option<f64>) -> Report {
     let report = load_on(Server::new(transport(mode)), config(mode, rate)).await;
     assert_eq!(report.verdict(), Ok(()), "{report}");
     report
@@ -91,7 +91,7 @@ async fn an_interrupt_ends_a_run_with_the_report_so_far() {
         let silent = report.silent.as_ref().map_or(0, |silent| silent.stayed);
         assert_eq!(silent, u64::from(2 * background), "{report}");
     }
-    let whole = calm(Mode::Http, None).await;
+    let whole = unloaded(Mode::Http, None).await;
     assert!(!whole.interrupted, "control");
 }
 
@@ -117,7 +117,7 @@ async fn an_open_loop_shows_a_stall_that_a_closed_loop_hides() {
         let late = open.sent_late_ms.p99.expect("requests") > 1000.0;
         assert_eq!((late, closed.sent_late_ms.p99), (mode == Mode::Http, None), "{open}");
 
-        let control = calm(mode, Some(RATE)).await;
+        let control = unloaded(mode, Some(RATE)).await;
         assert!(control.latency_ms.p99.expect("answers") < 5.0 * service_ms, "without a stall: {control}");
     }
 }
@@ -135,7 +135,7 @@ async fn open_loop_poses_count_until_their_view_is_complete() {
 
 #[tokio::test(start_paused = true)]
 async fn every_arrival_is_accounted_for_on_a_stalled_server() {
-    let expected = calm(Mode::Explicit, Some(RATE)).await;
+    let expected = unloaded(Mode::Explicit, Some(RATE)).await;
     assert!((150..250).contains(&expected.counts.requests), "20 a second for 10 s: {expected}");
     assert_eq!((expected.counts.unanswered, expected.counts.unsent), (0, 0));
     let second = Duration::from_secs(1);
@@ -308,7 +308,7 @@ async fn clients_that_never_had_a_session_are_counted_and_fail_the_run() {
 
 #[tokio::test(start_paused = true)]
 async fn lost_sessions_of_an_open_loop_keep_their_due_requests() {
-    let expected = calm(Mode::Explicit, Some(RATE)).await.counts.requests;
+    let expected = unloaded(Mode::Explicit, Some(RATE)).await.counts.requests;
     let server = Server { fault: Fault::HangUp, ..Server::new(Transport::WebSocket) };
     let report = load_on(server, config(Mode::Explicit, Some(RATE))).await;
     assert!(report.counts.dropped > 2, "{report}");
@@ -318,7 +318,7 @@ async fn lost_sessions_of_an_open_loop_keep_their_due_requests() {
 
 #[tokio::test(start_paused = true)]
 async fn slow_and_silent_clients_do_not_change_other_figures() {
-    let alone = calm(Mode::View, None).await;
+    let alone = unloaded(Mode::View, None).await;
     let config = LoadConfig { slow: 3, silent: 4, slow_bytes_per_s: 1000, ..config(Mode::View, None) };
     let report = load_on(Server::new(Transport::WebSocket), config).await;
     assert_eq!(report.verdict(), Ok(()), "{report}");

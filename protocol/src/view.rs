@@ -76,7 +76,7 @@ impl View {
     /// that prefetched chunks border on visible ones. Integers, so that two machines choose the
     /// same chunks.
     #[must_use]
-    pub fn viewer_ahead(&self) -> Option<Viewer> {
+    pub fn prefetch_viewer(&self) -> Option<Viewer> {
         let viewer = self.viewer();
         // Clamped to 2,000 km/s: beyond every view distance, and the squares stay in range.
         let [east, _, south] =
@@ -185,8 +185,8 @@ mod tests {
 
     #[test]
     fn each_field_out_of_range_is_refused_by_name() {
-        type Spoil = fn(&mut View);
-        let broken: [(&str, Spoil); 6] = [
+        type Corrupt = fn(&mut View);
+        let broken: [(&str, Corrupt); 6] = [
             ("outside the world", |v| v.eye[0] = i32::MAX),
             ("field of view 0", |v| v.fov_mdeg = 0),
             ("field of view 180000", |v| v.fov_mdeg = 180_000),
@@ -195,10 +195,10 @@ mod tests {
             ("view distance", |v| v.distance_m = u32::MAX),
         ];
         assert_eq!(view().check(), Ok(()));
-        for (word, spoil) in broken {
-            let mut spoiled = view();
-            spoil(&mut spoiled);
-            assert!(spoiled.check().unwrap_err().contains(word), "{word}");
+        for (word, corrupt) in broken {
+            let mut corrupted = view();
+            corrupt(&mut corrupted);
+            assert!(corrupted.check().unwrap_err().contains(word), "{word}");
         }
         let least = View { fov_mdeg: 1_000, viewport: [1; 2], tolerance_q4: 1, distance_m: 0, ..view() };
         let most = View { fov_mdeg: 170_000, viewport: [MAX_VIEWPORT; 2], ..view() };
@@ -223,7 +223,8 @@ mod tests {
 
     #[test]
     fn prefetch_stays_within_half_the_distance_and_the_world() {
-        let ahead = |velocity, eye| View { velocity, eye, ..view() }.viewer_ahead().map(|viewer| viewer.eye);
+        let ahead =
+            |velocity, eye| View { velocity, eye, ..view() }.prefetch_viewer().map(|viewer| viewer.eye);
         assert_eq!(ahead([0; 3], [0; 3]), None);
         assert_eq!(ahead([1000, i32::MAX, 0], [0; 3]), None, "walking, or falling");
         let speed = 100 * UNITS_PER_METRE;

@@ -31,7 +31,7 @@ const CHUNKS: usize = 16 * 1024;
 const REQUESTED: usize = 256 * 1024;
 const WINDOW: usize = 64;
 
-/// Time between two looks whether the downloads have begun.
+/// Time between two checks whether the downloads have begun.
 const INTERVAL: Duration = Duration::from_millis(10);
 
 /// Downloads answered a second below which there was no load.

@@ -177,7 +177,7 @@ async fn scenario(
         probe(server.address, end),
         polite(server.address, second.to_vec(), POLITE_INTERVAL, end)
     )?;
-    let seen = flood.seen(&server).await;
+    let sample = flood.sample(&server).await;
     let stopped = server.process.stop(Duration::from_secs(30)).await?;
     drop(flood);
 
@@ -190,10 +190,10 @@ async fn scenario(
     rounds.push("polite_refused", beside.refused as f64);
     rounds.push("polite_p99_alone_ms", alone.p99_ms());
     rounds.push("polite_p99_ms", beside.p99_ms());
-    rounds.push("view_seconds", seen.view_seconds);
-    rounds.push("views", seen.views);
-    rounds.push("views_per_s_of_session", seen.views_per_s(sessions, length));
-    rounds.push_extreme("sessions_ended", (sessions - seen.open) as f64);
+    rounds.push("view_seconds", sample.view_seconds);
+    rounds.push("views", sample.views);
+    rounds.push("views_per_s_of_session", sample.views_per_s(sessions, length));
+    rounds.push_extreme("sessions_ended", (sessions - sample.open) as f64);
     rounds.push_extreme("stop_s", stopped.map(|time| time.as_secs_f64()));
     all_alone.extend(alone.latencies);
     Ok(())
@@ -208,7 +208,7 @@ pub async fn slowest_probe_ms(
 ) -> Result<Option<f64>> {
     let flood = Flood::start(server.address, Kind::Largest, sessions, None)?;
     let probes = probe(server.address, Instant::now() + length).await?;
-    let took_place = flood.seen(server).await.took_place(sessions, length);
+    let took_place = flood.sample(server).await.took_place(sessions, length);
     Ok(quantile_ms(probes, 1.0).filter(|_| took_place))
 }
 
@@ -227,14 +227,14 @@ impl Flood {
     }
 
     /// The state of the flood now.
-    async fn seen(&self, server: &ServerProcess) -> Seen {
+    async fn sample(&self, server: &ServerProcess) -> Sample {
         let open = self.sessions.iter().filter(|session| !session.is_finished()).count();
         let [selected, superseded, refused] = series::VIEWS;
         let names = [selected, superseded, refused, series::VIEW_SECONDS];
         let metrics = tokio::time::timeout(METRICS_TIMEOUT, server.metrics(names)).await;
         let metrics = metrics.ok().and_then(Result::ok);
         let views = metrics.map(|[selected, superseded, refused, _]| selected + superseded + refused);
-        Seen { open, views, view_seconds: metrics.map(|metrics| metrics[3]) }
+        Sample { open, views, view_seconds: metrics.map(|metrics| metrics[3]) }
     }
 }
 
@@ -249,7 +249,7 @@ impl Drop for Flood {
 
 /// The observed state of a flood.
 #[derive(Clone, Copy, Debug)]
-struct Seen {
+struct Sample {
     /// Sessions that are still open.
     open: usize,
     /// Views that the server counted, whatever became of them; none if it did not say.
@@ -258,7 +258,7 @@ struct Seen {
     view_seconds: Option<f64>,
 }
 
-impl Seen {
+impl Sample {
     fn views_per_s(self, sessions: usize, length: Duration) -> Option<f64> {
         Some(self.views? / sessions as f64 / length.as_secs_f64())
     }
@@ -403,7 +403,7 @@ mod tests {
     #[test]
     fn a_flood_is_all_sessions_and_enough_views() {
         let took_place =
-            |open, views| Seen { open, views, view_seconds: None }.took_place(4, Duration::from_secs(10));
+            |open, views| Sample { open, views, view_seconds: None }.took_place(4, Duration::from_secs(10));
         assert!(took_place(4, Some(40.0)));
         assert!(!took_place(3, Some(40.0)) && !took_place(4, Some(39.0)) && !took_place(4, None));
     }

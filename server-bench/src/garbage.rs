@@ -1,4 +1,4 @@
-//! A viewer whose server sends garbage: a proxy in front of a real server spoils what passes.
+//! A viewer whose server sends garbage: a proxy in front of a real server corrupts what passes.
 //!
 //! A viewer without a window asks for a view, gives up or draws it, and the next one begins. Beside
 //! them one viewer lives as long as the run: its sessions are cut, which it does not give a server
@@ -24,7 +24,7 @@ use test_support::Random;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::{TcpListener, TcpStream};
 
-/// Time between two looks at the memory.
+/// Time between two samples of the memory.
 const SAMPLE_INTERVAL: Duration = Duration::from_millis(500);
 
 /// Shortest run with a figure.
@@ -46,8 +46,8 @@ const TIMEOUT: Duration = Duration::from_secs(60);
 /// that it never ends, and all at the start, so that chunks are no growth.
 const FIRST_CHUNKS: usize = 16;
 
-/// One byte in this number is spoilt where single bytes are.
-const SPOILT: u64 = 20_000;
+/// One byte in this number is corrupted where single bytes are.
+const CORRUPTED: u64 = 20_000;
 
 /// The fault that the proxy adds to a session; the next session gets the next kind.
 #[derive(Clone, Copy, Debug)]
@@ -192,9 +192,9 @@ async fn accept(
 
 async fn session(mut client: TcpStream, server: SocketAddr, kind: Kind, seed: u64) -> Result<()> {
     let chunks = if seed == 0 { FIRST_CHUNKS } else { 0 };
-    let mut spoiler = Spoiler::new(kind, Random(seed), chunks);
+    let mut corruptor = Corruptor::new(kind, Random(seed), chunks);
     if matches!(kind, Kind::NoHttp) {
-        client.write_all(&spoiler.random_bytes(4096)).await?;
+        client.write_all(&corruptor.random_bytes(4096)).await?;
         return Ok(());
     }
     let mut upstream = open(server).await?;
@@ -212,13 +212,13 @@ async fn session(mut client: TcpStream, server: SocketAddr, kind: Kind, seed: u6
                 bytes.drain(..end + 4);
                 is_open = true;
             }
-            let (mut spoilt, mut used, mut goes_on) = (Vec::new(), 0, true);
+            let (mut corrupted, mut used, mut goes_on) = (Vec::new(), 0, true);
             while let (true, Some((_, start, end))) = (goes_on, next_frame(&bytes[used..])?) {
-                goes_on = spoiler.spoil(&bytes[used..used + end], start, &mut spoilt);
+                goes_on = corruptor.corrupt(&bytes[used..used + end], start, &mut corrupted);
                 used += end;
             }
             bytes.drain(..used);
-            to_client.write_all(&spoilt).await?;
+            to_client.write_all(&corrupted).await?;
             if !goes_on {
                 return Ok(());
             }
@@ -230,8 +230,8 @@ async fn session(mut client: TcpStream, server: SocketAddr, kind: Kind, seed: u6
     }
 }
 
-/// Spoils frames, the same ones for the same seed.
-struct Spoiler {
+/// Corrupts frames, the same ones for the same seed.
+struct Corruptor {
     kind: Kind,
     random: Random,
     frames: usize,
@@ -240,18 +240,18 @@ struct Spoiler {
     resealer: Resealer,
 }
 
-impl Spoiler {
+impl Corruptor {
     fn new(kind: Kind, random: Random, chunks: usize) -> Self {
         Self { kind, random, frames: 0, chunks, resealer: Resealer::default() }
     }
 
     /// Adds what the client gets in place of a frame, whose payload begins at `start`. Whether the
     /// stream goes on.
-    fn spoil(&mut self, frame: &[u8], start: usize, spoilt: &mut Vec<u8>) -> bool {
+    fn corrupt(&mut self, frame: &[u8], start: usize, corrupted: &mut Vec<u8>) -> bool {
         self.frames += 1;
-        let begin = spoilt.len();
-        spoilt.extend_from_slice(frame);
-        let added = &mut spoilt[begin..];
+        let begin = corrupted.len();
+        corrupted.extend_from_slice(frame);
+        let added = &mut corrupted[begin..];
         match self.kind {
             Kind::Nothing | Kind::NoHttp => {}
             Kind::PayloadBytes => self.change(&mut added[start..]),
@@ -268,20 +268,20 @@ impl Spoiler {
                 added[start..].copy_from_slice(&random);
             }
             Kind::RandomPayloads => {}
-            Kind::Repeated => spoilt.extend_from_slice(frame),
+            Kind::Repeated => corrupted.extend_from_slice(frame),
             Kind::RandomStream => {
                 let random = self.random_bytes(1 << 16);
-                spoilt.extend(random);
+                corrupted.extend(random);
                 return false;
             }
             Kind::Cut if self.frames == 8 => {
-                spoilt.truncate(begin + frame.len() / 2);
+                corrupted.truncate(begin + frame.len() / 2);
                 return false;
             }
             Kind::Cut => {}
             Kind::CutInChunk if frame[start..].starts_with(&MAGIC) => {
                 let Some(left) = self.chunks.checked_sub(1) else {
-                    spoilt.truncate(begin + frame.len() / 2);
+                    corrupted.truncate(begin + frame.len() / 2);
                     return false;
                 };
                 self.chunks = left;
@@ -293,7 +293,7 @@ impl Spoiler {
 
     fn change(&mut self, bytes: &mut [u8]) {
         for byte in bytes {
-            if self.random.bits().is_multiple_of(SPOILT) {
+            if self.random.bits().is_multiple_of(CORRUPTED) {
                 *byte ^= self.random.bits() as u8;
             }
         }
@@ -375,19 +375,19 @@ mod tests {
     }
 
     #[test]
-    fn each_kind_spoils_as_it_says() {
+    fn each_kind_corrupts_as_it_says() {
         let frame: Vec<u8> =
             [0x82, 126, 0x9c, 0x40].into_iter().chain((0..40_000).map(|n| n as u8)).collect();
-        let spoilt = |kind| {
-            let mut spoiler = Spoiler::new(kind, Random(1), 0);
-            spoiler.frames = 3;
+        let corrupted = |kind| {
+            let mut corruptor = Corruptor::new(kind, Random(1), 0);
+            corruptor.frames = 3;
             let mut bytes = Vec::new();
-            let goes_on = spoiler.spoil(&frame, 4, &mut bytes);
+            let goes_on = corruptor.corrupt(&frame, 4, &mut bytes);
             (bytes, goes_on)
         };
-        assert_eq!(spoilt(Kind::Nothing), (frame.clone(), true));
+        assert_eq!(corrupted(Kind::Nothing), (frame.clone(), true));
         let changed = |kind| {
-            let (bytes, _) = spoilt(kind);
+            let (bytes, _) = corrupted(kind);
             assert_eq!(bytes.len(), frame.len());
             bytes.iter().zip(&frame).filter(|(a, b)| a != b).count()
         };
@@ -395,13 +395,13 @@ mod tests {
             (1..20).contains(&changed(Kind::PayloadBytes)) && (1..20).contains(&changed(Kind::StreamBytes))
         );
         assert!(changed(Kind::RandomPayloads) > 30_000);
-        assert_eq!(spoilt(Kind::RandomPayloads).0[..4], frame[..4]);
-        assert_eq!(spoilt(Kind::Repeated), ([&frame[..], &frame[..]].concat(), true));
-        assert!(!spoilt(Kind::RandomStream).1);
-        let mut cut = Spoiler::new(Kind::Cut, Random(1), 0);
+        assert_eq!(corrupted(Kind::RandomPayloads).0[..4], frame[..4]);
+        assert_eq!(corrupted(Kind::Repeated), ([&frame[..], &frame[..]].concat(), true));
+        assert!(!corrupted(Kind::RandomStream).1);
+        let mut cut = Corruptor::new(Kind::Cut, Random(1), 0);
         cut.frames = 7;
         let mut bytes = Vec::new();
-        assert!(!cut.spoil(&frame, 4, &mut bytes) && bytes.len() == frame.len() / 2);
+        assert!(!cut.corrupt(&frame, 4, &mut bytes) && bytes.len() == frame.len() / 2);
     }
 
     #[test]
@@ -420,13 +420,13 @@ mod tests {
         });
         let welcome = control::encode(&welcome).unwrap();
         let framed = |payload: &[u8]| [&[0x82, 126, 0, 0], payload].concat();
-        let mut spoiler = Spoiler::new(Kind::ResealedChunks, Random(1), 0);
+        let mut corruptor = Corruptor::new(Kind::ResealedChunks, Random(1), 0);
         let mut bytes = Vec::new();
-        assert!(spoiler.spoil(&framed(&welcome), 4, &mut bytes));
+        assert!(corruptor.corrupt(&framed(&welcome), 4, &mut bytes));
         assert_eq!(bytes, framed(&welcome));
         let decoded = (0..1000).filter_map(|_| {
             bytes.clear();
-            assert!(spoiler.spoil(&framed(&chunk), 4, &mut bytes));
+            assert!(corruptor.corrupt(&framed(&chunk), 4, &mut bytes));
             (bytes[4..] != chunk[..]).then(|| chunk_codec::decode(&bytes[4..], &land.digest()))
         });
         let decoded: Vec<_> = decoded.collect();
@@ -448,11 +448,11 @@ mod tests {
     fn a_cut_in_a_chunk_passes_other_frames_and_the_first_chunks() {
         let frame = |payload: &[u8]| [&[0x82, payload.len() as u8], payload].concat();
         let (control, chunk) = (frame(b"welcome"), frame(&[&MAGIC[..], &[1; 16]].concat()));
-        let mut cut = Spoiler::new(Kind::CutInChunk, Random(1), 1);
+        let mut cut = Corruptor::new(Kind::CutInChunk, Random(1), 1);
         let mut bytes = Vec::new();
-        assert!(cut.spoil(&control, 2, &mut bytes) && cut.spoil(&chunk, 2, &mut bytes));
+        assert!(cut.corrupt(&control, 2, &mut bytes) && cut.corrupt(&chunk, 2, &mut bytes));
         assert_eq!(bytes, [&control[..], &chunk[..]].concat());
-        assert!(!cut.spoil(&chunk, 2, &mut bytes));
+        assert!(!cut.corrupt(&chunk, 2, &mut bytes));
         assert_eq!(bytes.len(), control.len() + chunk.len() + chunk.len() / 2);
     }
 }

@@ -17,10 +17,10 @@ use terrain::{ChunkKey, Land};
 use tokio::io::AsyncWriteExt;
 use tokio_util::either::Either;
 
-/// Cycles, and their parts, with a look at the memory after each part. The median of the second
-/// half is compared with that of the first: single looks differ by up to four percent, because the
-/// allocator takes and returns whole pages. The bytes that the program holds do not grow at all,
-/// as the server's test `hang_ups` shows by counting them.
+/// Cycles, and their parts, with a sample of the memory after each part. The median of the second
+/// half is compared with that of the first: single samples differ by up to four percent, because
+/// the allocator takes and returns whole pages. The bytes that the program holds do not grow at
+/// all, as the server's test `hang_ups` shows by counting them.
 const CYCLES: usize = 200_000;
 const PARTS: usize = 8;
 const HALF: usize = PARTS / 2;
@@ -156,14 +156,14 @@ pub fn bars(figures: &Value) -> Vec<Bar> {
         Bar::none("the same: sessions, connections, jobs and threads left", of("leaked")),
         Bar::at_most("the same: memory in the second 100,000 over the first", of("rss_ratio"), "x", 1.05)
             .with_note(
-                "resident, medians of four looks each, without huge pages, one of which is a tenth of \
+                "resident, medians of four samples each, without huge pages, one of which is a tenth of \
                  it; a leak of ten bytes for each client misses the bar; they hang up after the \
                  connect, in and after the request of the upgrade, after the request of 16 chunks, \
                  nearly all of which are cancelled before they are generated, and in a frame; half of \
                  them with a reset",
             ),
         Bar::reported("the same: memory at the end over after 25,000", of("rss_ratio_of_looks"), "x")
-            .with_note("single looks, which differ by up to four percent"),
+            .with_note("single samples, which differ by up to four percent"),
     ]
 }
 

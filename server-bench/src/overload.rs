@@ -31,7 +31,7 @@ const CHUNKS: usize = 16 * 1024;
 const LOADS: [f64; 5] = [0.5, 0.8, 1.0, 2.0, 5.0];
 
 /// Load after the last one, while the server recovers; also the load whose latency is normal.
-const CALM: f64 = 0.5;
+const PARTIAL: f64 = 0.5;
 
 /// Time between two bursts of one connection; the bursts of all connections are spread over it. A
 /// request is sent up to this long after it was due, which its latency includes.
@@ -122,12 +122,12 @@ async fn round(plan: &Plan, keys: &[ChunkKey]) -> Result<Round> {
     let mut unanswered = 0;
     for load in LOADS {
         let is_last = load == LOADS[LOADS.len() - 1];
-        let after = if is_last { (CALM * capacity, RECOVERY) } else { (0.0, DRAIN) };
+        let after = if is_last { (PARTIAL * capacity, RECOVERY) } else { (0.0, DRAIN) };
         let requests = send_at_rates(&server, keys, &[(load * capacity, length), after]).await?;
         let figures = LoadFigures::new(&requests, length);
         peak = peak.max(figures.goodput_per_s);
         unanswered += figures.unanswered;
-        if load == CALM {
+        if load == PARTIAL {
             normal_p99_ms = figures.chunk_p99_ms;
         }
         loads.push(figures.to_json(load, capacity));
@@ -452,7 +452,7 @@ mod tests {
             request(200, answer(900, true)),
             request(300, answer(4, false)),
             request(400, None),
-            // In the calm part after it.
+            // In the unloaded part after it.
             request(1500, answer(700, true)),
             request(1600, answer(700, false)),
         ];

@@ -1,4 +1,4 @@
-//! Digests that fit spoilt chunks, as a hostile server writes them: a receiver decodes these
+//! Digests that fit corrupted chunks, as a hostile server writes them: a receiver decodes these
 //! chunks.
 
 use protocol::chunk_codec::{self, MAGIC, refined};
@@ -18,7 +18,7 @@ pub struct Resealer {
 }
 
 impl Resealer {
-    /// Reads the payload of a message before it is spoilt.
+    /// Reads the payload of a message before it is corrupted.
     pub fn read(&mut self, payload: &[u8]) {
         let Some(world) = self.world else {
             if let Ok(ServerMessage::Welcome(welcome)) = control::decode(payload) {
@@ -35,7 +35,7 @@ impl Resealer {
         }
     }
 
-    /// Gives a spoilt chunk the digest of its bytes. Another message stays as it is.
+    /// Gives a corrupted chunk the digest of its bytes. Another message stays as it is.
     pub fn reseal(&self, payload: &mut [u8]) {
         if let Some(world) = self.world.filter(|_| payload.starts_with(&MAGIC)) {
             chunk_codec::rewrite_digest(payload, &world, self.parent(payload));

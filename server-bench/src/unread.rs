@@ -38,7 +38,7 @@ const AFTER: Duration = Duration::from_secs(14);
 /// Time in which the server has closed the sessions of clients that hung up.
 const HANG_UP: Duration = Duration::from_secs(1);
 
-/// Time between two looks at the number of sessions.
+/// Time between two samples of the number of sessions.
 const SAMPLE_INTERVAL: Duration = Duration::from_millis(100);
 
 /// Runs the benchmark, each round against a fresh server.

@@ -29,7 +29,7 @@ use tokio_util::sync::CancellationToken;
 /// Packs on their way to the store while further ones are made: at most 1 MiB each, usually.
 const PUTS_IN_FLIGHT: usize = 4;
 
-/// Requests at once that look whether packs exist.
+/// HEAD requests for packs at once.
 const HEADS_IN_FLIGHT: usize = 32;
 
 /// Timeout of one request; longer than a pack takes on a slow link.
@@ -219,10 +219,10 @@ impl Bake {
     /// The state of a pack of the region that does not exist; none if all do, those of other parts
     /// too.
     async fn missing_pack(&self) -> Result<Option<Stored>, String> {
-        let looks = stream::iter(self.region.tiles())
-            .map(|tile| self.look(self.names.pack(tile)))
+        let heads = stream::iter(self.region.tiles())
+            .map(|tile| self.head(self.names.pack(tile)))
             .buffer_unordered(HEADS_IN_FLIGHT);
-        let missing = looks.try_filter(|stored| ready(!matches!(stored, Stored::Object(_))));
+        let missing = heads.try_filter(|stored| ready(!matches!(stored, Stored::Object(_))));
         pin!(missing).try_next().await
     }
 
@@ -234,7 +234,7 @@ impl Bake {
     }
 
     /// Whether an object exists; its bytes are not read.
-    async fn look(&self, path: Path) -> Result<Stored, String> {
+    async fn head(&self, path: Path) -> Result<Stored, String> {
         let head = async {
             let found = self.objects.head(&path).await;
             found.map_or_else(Stored::without, |_| Ok(Stored::Object(Bytes::new())))

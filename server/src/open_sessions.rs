@@ -33,8 +33,8 @@ pub struct SessionStats {
     yaw_mdeg: AtomicI32,
     chunks: AtomicU64,
     bytes: AtomicU64,
-    ending: AtomicU8,
-    ends: Notify,
+    eviction: AtomicU8,
+    evicted: Notify,
     /// Whether its handshake is done.
     is_welcomed: AtomicBool,
 }
@@ -61,9 +61,9 @@ pub struct EyePosition {
     pub yaw_mdeg: i32,
 }
 
-/// Why the server ends a session that has done nothing wrong.
+/// Why the server evicts a session, which has broken no rule.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Ending {
+pub enum Eviction {
     /// The server has too little memory.
     Memory = 1,
     /// A client of a site with fewer sessions has none.
@@ -71,18 +71,18 @@ pub enum Ending {
 }
 
 impl SessionStats {
-    /// Waits until the session has to end.
-    pub async fn ends(&self) -> Ending {
-        self.ends.notified().await;
+    /// Waits until the server evicts the session.
+    pub async fn evicted(&self) -> Eviction {
+        self.evicted.notified().await;
         // There is one: it is stored before the notice.
-        self.ending().unwrap_or(Ending::Memory)
+        self.eviction().unwrap_or(Eviction::Memory)
     }
 
-    /// Why the session has to end, the first cause; none if it has not.
+    /// Why the server evicts the session, the first cause; none if it does not.
     #[must_use]
-    pub fn ending(&self) -> Option<Ending> {
-        let ending = self.ending.load(Ordering::Relaxed);
-        [Ending::Memory, Ending::Displaced].into_iter().find(|known| *known as u8 == ending)
+    pub fn eviction(&self) -> Option<Eviction> {
+        let eviction = self.eviction.load(Ordering::Relaxed);
+        [Eviction::Memory, Eviction::Displaced].into_iter().find(|known| *known as u8 == eviction)
     }
 
     fn figures(&self) -> SessionFigures {
@@ -99,10 +99,10 @@ impl SessionStats {
         }
     }
 
-    fn end(&self, ending: Ending) {
+    fn evict(&self, eviction: Eviction) {
         // The first cause stays: the place of a displaced session is promised.
-        let _ = self.ending.compare_exchange(0, ending as u8, Ordering::Relaxed, Ordering::Relaxed);
-        self.ends.notify_one();
+        let _ = self.eviction.compare_exchange(0, eviction as u8, Ordering::Relaxed, Ordering::Relaxed);
+        self.evicted.notify_one();
     }
 
     /// Publishes a new view.
@@ -256,9 +256,9 @@ impl OpenSessions {
         lock(&self.shared.sessions).by_number.len()
     }
 
-    /// Ends sessions ([`SessionStats::ends`]), first of the sites that have the most, among equals
-    /// the newest. The only one of its site ends where all are, or memory is critical. Returns how
-    /// many end.
+    /// Ends sessions ([`SessionStats::evicted`]), first of the sites that have the most, among
+    /// equals the newest. The only one of its site ends where all are, or memory is critical.
+    /// Returns how many end.
     pub fn shed(&self, Shed { count, is_critical }: Shed) -> usize {
         if count == 0 {
             return 0;
@@ -273,7 +273,7 @@ impl OpenSessions {
             *older - 1
         };
         // Those that end already hold little.
-        let open = by_number.iter().filter(|(_, session)| session.stats.ending().is_none());
+        let open = by_number.iter().filter(|(_, session)| session.stats.eviction().is_none());
         let ranked = open.map(|(number, session)| (rank(session.site), *number, session));
         let mut ended: Vec<_> = ranked.collect();
         ended.sort_unstable_by_key(|(rank, number, _)| Reverse((*rank, *number)));
@@ -282,7 +282,7 @@ impl OpenSessions {
             ended.retain(|(rank, ..)| *rank > 0);
         }
         for (_, number, session) in &ended {
-            session.stats.end(Ending::Memory);
+            session.stats.evict(Eviction::Memory);
             sites.remove(session.site, *number);
         }
         ended.len()
@@ -313,7 +313,7 @@ impl OpenSessions {
                 return false;
             }
         }
-        newest.stats.end(Ending::Displaced);
+        newest.stats.evict(Eviction::Displaced);
         sites.remove(newest.site, number);
         *displaced = Some(now);
         waiting.insert(own, Waiting { since: now, has_begun: false });
@@ -357,7 +357,7 @@ mod tests {
             let shed = sessions.shed(Shed { count, is_critical });
             let mut ended = Vec::new();
             for (number, stats) in &open {
-                if stats.ends().now_or_never().is_some() {
+                if stats.evicted().now_or_never().is_some() {
                     ended.push(*number);
                 }
             }
@@ -380,7 +380,8 @@ mod tests {
             sites.iter().zip(1..).map(|(site, number)| sessions.register(number, client(*site))).collect();
         let displaced = |site: u8, ms: u64| {
             let is_displaced = sessions.displace_for(client(site), start + Duration::from_millis(ms));
-            let ended = open.iter().position(|stats| stats.ends().now_or_never() == Some(Ending::Displaced));
+            let ended =
+                open.iter().position(|stats| stats.evicted().now_or_never() == Some(Eviction::Displaced));
             assert_eq!(is_displaced, ended.is_some());
             ended
         };

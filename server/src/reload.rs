@@ -9,7 +9,7 @@ use std::time::Duration;
 use tokio::task::{JoinHandle, spawn_blocking};
 use tokio::time::{sleep, timeout};
 
-/// Interval between two looks at the files. They are read whole: a changed mount, as of a
+/// Interval between two checks of the files. They are read whole: a changed mount, as of a
 /// Kubernetes secret, has no reliable time of modification.
 const INTERVAL: Duration = Duration::from_secs(5);
 

@@ -1,5 +1,5 @@
 //! Index of numbered members (connections, sessions) by the site of their client. A full server
-//! looks for a member to end at each new client, so a look takes logarithmic time.
+//! looks for a member to end at each new client: a search takes logarithmic time.
 
 use std::cmp::Reverse;
 use std::collections::{BTreeSet, HashMap};

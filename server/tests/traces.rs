@@ -31,12 +31,12 @@ const CLIENT_SPAN: &str = "b7ad6b7169203331";
 const TRACEPARENT: &str = "00-0af7651916cd43dd8448eb211c80319c-b7ad6b7169203331-01";
 
 /// A span and the process that sent it.
-struct Seen {
+struct ReceivedSpan {
     instance: String,
     span: Span,
 }
 
-impl Seen {
+impl ReceivedSpan {
     fn text(&self, name: &str) -> Option<String> {
         let value = self.span.attributes.iter().find(|attribute| attribute.key == name)?;
         Some(format!("{:?}", value.value.as_ref()?.value.as_ref()?))
@@ -65,7 +65,7 @@ async fn collector() -> (SocketAddr, Receiver<Bytes>) {
 }
 
 /// All spans that were received.
-fn spans(bodies: &Receiver<Bytes>) -> Vec<Seen> {
+fn spans(bodies: &Receiver<Bytes>) -> Vec<ReceivedSpan> {
     let mut seen = Vec::new();
     for body in bodies.try_iter() {
         for resource in ExportTraceServiceRequest::decode(body).unwrap().resource_spans {
@@ -73,7 +73,7 @@ fn spans(bodies: &Receiver<Bytes>) -> Vec<Seen> {
             let instance = attributes.iter().find(|attribute| attribute.key == "service.instance.id");
             let instance = format!("{:?}", instance.unwrap().value);
             for span in resource.scope_spans.into_iter().flat_map(|scope| scope.spans) {
-                seen.push(Seen { instance: instance.clone(), span });
+                seen.push(ReceivedSpan { instance: instance.clone(), span });
             }
         }
     }
@@ -198,8 +198,8 @@ async fn a_trace_follows_a_chunk_over_two_replicas() {
     assert!(chunks.iter().all(|chunk| hex(&chunk.span.parent_span_id) == CLIENT_SPAN));
     let instances: BTreeSet<_> = chunks.iter().map(|chunk| &chunk.instance).collect();
     assert_eq!(instances.len(), 2);
-    let parts = |chunk: &Seen| -> BTreeSet<&str> {
-        let of_chunk = |seen: &&Seen| seen.span.parent_span_id == chunk.span.span_id;
+    let parts = |chunk: &ReceivedSpan| -> BTreeSet<&str> {
+        let of_chunk = |seen: &&ReceivedSpan| seen.span.parent_span_id == chunk.span.span_id;
         seen.iter().filter(of_chunk).map(|seen| seen.span.name.as_str()).collect()
     };
     for chunk in chunks {

@@ -28,7 +28,7 @@ pub const PROBE_PERIOD: Duration = Duration::from_millis(250);
 
 /// What a frame meant for the counts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Came {
+pub enum Received {
     /// A chunk in so many bytes; with the latency if it answers a probe.
     Chunk(usize, Option<Duration>),
     /// Views are complete, after these times for the newest.
@@ -145,7 +145,7 @@ impl Client {
     }
 
     /// Processes a frame of the server.
-    pub fn receive(&mut self, frame: &Bytes, now: Duration) -> Came {
+    pub fn receive(&mut self, frame: &Bytes, now: Duration) -> Received {
         match self.session.receive(DataFrame::Binary(frame)) {
             Ok(Event::Chunk { chunk, bytes, .. }) => {
                 let key = chunk.key;
@@ -157,7 +157,7 @@ impl Client {
                 if let Some(key) = self.held.release(|key| !self.expected.is_in_view(*key)) {
                     self.session.release(&[key]);
                 }
-                Came::Chunk(bytes, since.map(|since| now - since))
+                Received::Chunk(bytes, since.map(|since| now - since))
             }
             Ok(Event::Settled(settled)) => {
                 self.expected.settled(settled.view);
@@ -168,17 +168,17 @@ impl Client {
                     newest = Some(since);
                     self.views.pop_front();
                 }
-                newest.map_or(Came::Other, |since| Came::Settled(now - since))
+                newest.map_or(Received::Other, |since| Received::Settled(now - since))
             }
             Ok(Event::Refused(refused)) => {
                 self.expected.refused(&refused);
                 if let Some(Ok(key)) = refused.key.map(protocol::message::WireKey::check) {
                     self.probes.remove(&key);
                 }
-                Came::Refused
+                Received::Refused
             }
-            Ok(Event::Welcome(_) | Event::Draining { .. }) => Came::Other,
-            Err(_) => Came::Wrong,
+            Ok(Event::Welcome(_) | Event::Draining { .. }) => Received::Other,
+            Err(_) => Received::Wrong,
         }
     }
 }

@@ -1,6 +1,6 @@
 //! One replica with its clients: events in the order of their virtual times.
 
-use crate::client::{Came, Client, PROBE_PERIOD};
+use crate::client::{Client, PROBE_PERIOD, Received};
 use crate::config::Plan;
 use crate::costs::micros;
 use crate::frames::Frames;
@@ -8,7 +8,7 @@ use crate::generation::{Queue, Turn, Waiting};
 use crate::processors::{Begun, Processors};
 use crate::report::Report;
 use bytes::Bytes;
-use load::session::STALL;
+use load::session::MIN_ABANDONED_WAIT;
 use protocol::DataFrame;
 use protocol::chunk_codec::{Effort, MAGIC};
 use protocol::message::RefusalReason;
@@ -205,7 +205,7 @@ impl<'a> Replica<'a> {
     fn count_unanswered(&mut self) {
         for wait in self.clients.iter().flatten().flat_map(|client| client.unanswered(self.plan.length)) {
             self.report.unanswered += 1;
-            if wait >= STALL {
+            if wait >= MIN_ABANDONED_WAIT {
                 self.report.latency.record(wait);
             }
         }
@@ -323,18 +323,18 @@ impl<'a> Replica<'a> {
         let Some(client) = &mut self.clients[index] else { return };
         for frame in frames {
             match client.receive(frame, self.now) {
-                Came::Chunk(bytes, latency) => {
+                Received::Chunk(bytes, latency) => {
                     self.report.chunks += 1;
                     self.report.bytes += bytes as u64;
                     latency.into_iter().for_each(|latency| self.report.latency.record(latency));
                 }
-                Came::Settled(took) => {
+                Received::Settled(took) => {
                     self.report.settled += 1;
                     self.report.settling.record(took);
                 }
-                Came::Refused => self.report.refused += 1,
-                Came::Wrong => self.report.wrong += 1,
-                Came::Other => {}
+                Received::Refused => self.report.refused += 1,
+                Received::Wrong => self.report.wrong += 1,
+                Received::Other => {}
             }
         }
         self.send(index);

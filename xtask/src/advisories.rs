@@ -140,9 +140,9 @@ pub fn check() -> Result<()> {
     let path = format!("[advisories]\ndb-path = {:?}\n", folder.to_string_lossy());
     std::fs::write(&config, own.replace("[advisories]\n", &path)).context("advisories")?;
 
-    let mut spoilt = snapshot.clone();
-    spoilt.advisories.insert(PLANTED.0.into(), PLANTED.1.into());
-    unpack(&spoilt, &database)?;
+    let mut corrupted = snapshot.clone();
+    corrupted.advisories.insert(PLANTED.0.into(), PLANTED.1.into());
+    unpack(&corrupted, &database)?;
     let mut control = deny(&config);
     control.stdout(std::process::Stdio::null()).stderr(std::process::Stdio::null());
     if process::status(&mut control)?.success() {

@@ -30,7 +30,7 @@ struct SentView {
     id: u32,
     viewer: Viewer,
     /// The viewer that the server may prefetch for.
-    ahead: Option<Viewer>,
+    prefetch: Option<Viewer>,
     /// Whether the server has settled or refused it, which it does once.
     is_answered: bool,
 }
@@ -38,7 +38,7 @@ struct SentView {
 impl SentView {
     fn may_need(&self, key: ChunkKey) -> bool {
         let fits = |viewer: &Viewer| key.level() <= viewer.top_level() && viewer.sees(key);
-        fits(&self.viewer) || self.ahead.as_ref().is_some_and(fits)
+        fits(&self.viewer) || self.prefetch.as_ref().is_some_and(fits)
     }
 }
 
@@ -48,8 +48,8 @@ impl ExpectedChunks {
         if self.views.len() == MAX_VIEWS {
             self.views.pop_front();
         }
-        let (viewer, ahead) = (view.viewer(), view.viewer_ahead());
-        self.views.push_back(SentView { id: view.id, viewer, ahead, is_answered: false });
+        let (viewer, prefetch) = (view.viewer(), view.prefetch_viewer());
+        self.views.push_back(SentView { id: view.id, viewer, prefetch, is_answered: false });
     }
 
     /// A view is settled: no chunk of an older view is still to come. False if no such view waits
@@ -130,7 +130,7 @@ mod tests {
         let moving = View { velocity: [200 * 256, 0, 0], ..view(1, 0, 2000) };
         let mut expected = ExpectedChunks::default();
         expected.add_view(&moving);
-        let viewers = [moving.viewer(), moving.viewer_ahead().unwrap()];
+        let viewers = [moving.viewer(), moving.prefetch_viewer().unwrap()];
         let selected = viewers.iter().flat_map(|viewer| lod::select(&land, viewer, usize::MAX));
         let mut count = 0;
         for needed in selected {

@@ -20,7 +20,7 @@ pub(super) struct Baseline {
     pub(super) decode: fn(&[u8]) -> Vec<u16>,
 }
 
-/// Name of the nearest rival: our predictor, compressed as it is.
+/// Name of the nearest competitor: our predictor, compressed as it is.
 pub(super) const PLANE_ZSTD: &str = "plane, byte planes, one zstd 1 frame";
 
 /// Name of 16-bit PNG.

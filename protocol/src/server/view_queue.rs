@@ -26,10 +26,10 @@ struct ActiveView {
     /// flight for a request of the client.
     pending: Vec<(u64, ChunkKey)>,
     /// Prefetch: not needed yet but soon, most urgent last; requested when the view is settled.
-    ahead: Vec<(u64, ChunkKey)>,
+    prefetch: Vec<(u64, ChunkKey)>,
     /// Number of earlier views at whose end each chunk of this view was needed and not held. Empty
     /// while a selection runs, and after one that failed.
-    waited: FxHashMap<ChunkKey, u32>,
+    ages: FxHashMap<ChunkKey, u32>,
     settled: bool,
 }
 
@@ -56,17 +56,17 @@ impl ViewQueue {
         // A settled view waits for nothing. One that is not has an age for each of its chunks at
         // most: some 0.5 ms for the largest view, a small part of the selection that follows.
         let old = self.active.as_mut().filter(|old| !old.settled);
-        let mut waited = old.map(|old| std::mem::take(&mut old.waited)).unwrap_or_default();
-        waited.retain(|key, _| !held.contains(*key));
-        Some(ViewSelection::new(land, view, waited))
+        let mut ages = old.map(|old| std::mem::take(&mut old.ages)).unwrap_or_default();
+        ages.retain(|key, _| !held.contains(*key));
+        Some(ViewSelection::new(land, view, ages))
     }
 
     /// Makes the view of a selection the active one. Returns its chunks, prefetch included.
     pub(super) fn apply(&mut self, selection: ViewSelection, land: &Land) -> FxHashSet<ChunkKey> {
         self.selecting = None;
         let (view, selected) = selection.finish(land);
-        let Selected { chunks, keys, needed, ahead, waited } = selected;
-        self.active = Some(ActiveView { view, chunks, pending: needed, ahead, waited, settled: false });
+        let Selected { chunks, keys, needed, prefetch, ages } = selected;
+        self.active = Some(ActiveView { view, chunks, pending: needed, prefetch, ages, settled: false });
         keys
     }
 
@@ -88,16 +88,16 @@ impl ViewQueue {
         if !active.pending.is_empty() || !active.settled {
             return !active.pending.is_empty();
         }
-        while active.ahead.pop_if(|(_, key)| is_known(*key, None)).is_some() {}
-        !active.ahead.is_empty()
+        while active.prefetch.pop_if(|(_, key)| is_known(*key, None)).is_some() {}
+        !active.prefetch.is_empty()
     }
 
     /// The chunk that [`ViewQueue::has_next`] found: a needed one, or a prefetch once the view is
     /// settled.
     pub(super) fn next(&mut self) -> Option<(u64, ChunkKey)> {
         let active = self.active.as_mut()?;
-        let ahead = || active.ahead.pop_if(|_| active.settled).map(|(_, key)| (0, key));
-        active.pending.pop().or_else(ahead)
+        let prefetch = || active.prefetch.pop_if(|_| active.settled).map(|(_, key)| (0, key));
+        active.pending.pop().or_else(prefetch)
     }
 
     /// Puts a chunk back before all others.

@@ -17,7 +17,7 @@ pub struct ViewSelection {
     phase: Phase,
     /// Age of each chunk that the previous view needs and the client does not hold: the number of
     /// views before that one in which the chunk waited already.
-    waited_before: FxHashMap<ChunkKey, u32>,
+    earlier_ages: FxHashMap<ChunkKey, u32>,
     selected: Selected,
 }
 
@@ -31,25 +31,25 @@ pub(super) struct Selected {
     /// Needed chunks with priorities, most urgent last.
     pub needed: Vec<(u64, ChunkKey)>,
     /// Chunks to prefetch with priorities, most urgent last.
-    pub ahead: Vec<(u64, ChunkKey)>,
+    pub prefetch: Vec<(u64, ChunkKey)>,
     /// Age of each needed chunk: the number of previous views in a row in which it waited.
-    pub waited: FxHashMap<ChunkKey, u32>,
+    pub ages: FxHashMap<ChunkKey, u32>,
 }
 
 #[derive(Debug)]
 enum Phase {
     Select(Selector),
     Rank { found: Vec<Needed>, ranked: usize },
-    SelectAhead(Selector),
-    RankAhead { found: Vec<Needed>, ranked: usize },
+    SelectPrefetch(Selector),
+    RankPrefetch { found: Vec<Needed>, ranked: usize },
     Done,
 }
 
 impl ViewSelection {
     /// A selection for a checked view.
-    pub(super) fn new(land: &Land, view: View, waited_before: FxHashMap<ChunkKey, u32>) -> Self {
+    pub(super) fn new(land: &Land, view: View, earlier_ages: FxHashMap<ChunkKey, u32>) -> Self {
         let phase = Phase::Select(Selector::new(land, &view.viewer(), MAX_VIEW_CHUNKS));
-        Self { view, phase, waited_before, selected: Selected::default() }
+        Self { view, phase, earlier_ages, selected: Selected::default() }
     }
 
     /// The view.
@@ -84,29 +84,29 @@ impl ViewSelection {
             Phase::Rank { found, .. } => {
                 self.selected.chunks = found.len() as u32;
                 self.selected.needed.sort_unstable();
-                match self.view.viewer_ahead() {
-                    Some(viewer) => Phase::SelectAhead(Selector::new(land, &viewer, MAX_VIEW_CHUNKS)),
+                match self.view.prefetch_viewer() {
+                    Some(viewer) => Phase::SelectPrefetch(Selector::new(land, &viewer, MAX_VIEW_CHUNKS)),
                     None => Phase::Done,
                 }
             }
-            Phase::SelectAhead(mut selector) => {
+            Phase::SelectPrefetch(mut selector) => {
                 if selector.step(chunks) {
-                    Phase::RankAhead { found: selector.finish(), ranked: 0 }
+                    Phase::RankPrefetch { found: selector.finish(), ranked: 0 }
                 } else {
-                    Phase::SelectAhead(selector)
+                    Phase::SelectPrefetch(selector)
                 }
             }
-            Phase::RankAhead { found, ranked } if ranked < found.len() => {
+            Phase::RankPrefetch { found, ranked } if ranked < found.len() => {
                 let end = ranked.saturating_add(chunks).min(found.len());
                 for needed in &found[ranked..end] {
                     if self.selected.keys.insert(needed.key) {
-                        self.selected.ahead.push((u64::from(needed.gain_q4), needed.key));
+                        self.selected.prefetch.push((u64::from(needed.gain_q4), needed.key));
                     }
                 }
-                Phase::RankAhead { found, ranked: end }
+                Phase::RankPrefetch { found, ranked: end }
             }
-            Phase::RankAhead { .. } => {
-                self.selected.ahead.sort_unstable();
+            Phase::RankPrefetch { .. } => {
+                self.selected.prefetch.sort_unstable();
                 Phase::Done
             }
             Phase::Done => Phase::Done,
@@ -121,8 +121,8 @@ impl ViewSelection {
     }
 
     fn rank(&mut self, needed: &Needed) {
-        let views = self.waited_before.get(&needed.key).map_or(0, |views| views.saturating_add(1));
-        self.selected.waited.insert(needed.key, views);
+        let views = self.earlier_ages.get(&needed.key).map_or(0, |views| views.saturating_add(1));
+        self.selected.ages.insert(needed.key, views);
         self.selected.keys.insert(needed.key);
         self.selected.needed.push((self.view.priority(needed, views), needed.key));
     }

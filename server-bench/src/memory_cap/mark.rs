@@ -36,14 +36,14 @@ const TOGETHER: usize = 256;
 /// The receive buffer of a client, bytes.
 const RECEIVE_BUFFER: u32 = 4096;
 
-/// Length of the load, of a session that the server does not end, and between two looks at
+/// Length of the load, of a session that the server does not end, and between two samples of
 /// `/readyz`.
 pub const LENGTH: Duration = Duration::from_secs(60);
 pub const SESSION: Duration = Duration::from_secs(15);
 const INTERVAL: Duration = Duration::from_millis(200);
 
 /// Time between two attempts to begin a session at the end of the load.
-const LOOK: Duration = Duration::from_millis(5);
+const POLL_INTERVAL: Duration = Duration::from_millis(5);
 
 /// Longest time beyond the length until the server rejects a session, so that the load ends there.
 const MARK_WAIT: Duration = Duration::from_secs(10);
@@ -91,25 +91,25 @@ pub async fn load(server: &ServerProcess, keys: &Arc<[ChunkKey]>) -> Result<Valu
             }
         });
     }
-    let looking = async {
-        let (mut looks, mut marked) = (0_u32, 0_u32);
+    let sampling = async {
+        let (mut samples, mut marked) = (0_u32, 0_u32);
         while Instant::now() < end {
-            looks += 1;
+            samples += 1;
             marked += u32::from(is_marked(address).await?);
             tokio::time::sleep(INTERVAL).await;
         }
         // The load ends while the server rejects sessions.
         let mut ends_marked = is_rejected(address).await;
         while !ends_marked && Instant::now() < end + MARK_WAIT {
-            tokio::time::sleep(LOOK).await;
+            tokio::time::sleep(POLL_INTERVAL).await;
             ends_marked = is_rejected(address).await;
         }
-        anyhow::Ok((looks, marked, ends_marked))
+        anyhow::Ok((samples, marked, ends_marked))
     };
-    let looked = looking.await;
+    let sampled = sampling.await;
     // Before an error ends this task: a runtime must not be dropped in another one.
     clients.shutdown_background();
-    let (looks, marked, ends_marked) = looked?;
+    let (samples, marked, ends_marked) = sampled?;
     let ended = Instant::now();
     let recovery_s = loop {
         if Connection::connect(address).await.is_ok() {
@@ -127,7 +127,7 @@ pub async fn load(server: &ServerProcess, keys: &Arc<[ChunkKey]>) -> Result<Valu
         "clients": CLIENTS,
         "accepted": counts.accepted.load(Ordering::Relaxed),
         "rejected": counts.rejected.load(Ordering::Relaxed),
-        "marked_share": f64::from(marked) / f64::from(looks),
+        "marked_share": f64::from(marked) / f64::from(samples),
         "recovery_s": recovery_s,
         "chunks_share_after": after.chunks as f64 / before.chunks as f64,
     }))
@@ -220,7 +220,7 @@ pub fn bars(figures: &Value) -> Vec<Bar> {
 pub fn notes(figures: &Value) -> Vec<String> {
     let line = "Memory mark: of {clients:.0} clients that read nothing {accepted:.0} sessions were \
                 accepted and {rejected:.0} rejected; /readyz named the memory in \
-                {marked_share*100:.0} % of the looks.";
+                {marked_share*100:.0} % of the samples.";
     vec![fill(line, figures)]
 }
 

@@ -79,12 +79,12 @@ pub async fn load(server: &ServerProcess, keys: &Arc<[ChunkKey]>) -> Result<Valu
 /// Opens sessions until the end, each for two chunks; what it found, and in what share of its
 /// attempts the server was not ready for lack of memory.
 async fn other(address: SocketAddr, keys: &[ChunkKey], end: Instant) -> Result<(Found, f64)> {
-    let (mut found, mut looks, mut marked) = (Found::default(), 0_u32, 0_u32);
+    let (mut found, mut samples, mut marked) = (Found::default(), 0_u32, 0_u32);
     // From the end of the list: not those of the clients.
     let mut keys = keys.iter().rev();
     let mut waiting_since = Instant::now();
     while Instant::now() < end {
-        looks += 1;
+        samples += 1;
         marked += u32::from(is_marked(address).await?);
         let key = *keys.next().context("the run is too long for the list of keys")?;
         let chunk = tokio::time::timeout(CHUNK_WAIT, one_chunk(address, key)).await;
@@ -98,7 +98,7 @@ async fn other(address: SocketAddr, keys: &[ChunkKey], end: Instant) -> Result<(
             tokio::time::sleep(INTERVAL).await;
         }
     }
-    Ok((found, f64::from(marked) / f64::from(looks)))
+    Ok((found, f64::from(marked) / f64::from(samples)))
 }
 
 /// A session with a view that ends when it has a requested chunk and one of the view.

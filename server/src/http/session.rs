@@ -6,7 +6,7 @@ use crate::http::client;
 use crate::http::problem::{Problem, ProblemKind};
 use crate::limits::per_ip::IpPermit;
 use crate::limits::system_buffers;
-use crate::open_sessions::Ending;
+use crate::open_sessions::Eviction;
 use crate::proxy::ClientAddress;
 use crate::session::driver::{self, READ_LIMIT};
 use crate::state::ServerState;
@@ -99,14 +99,14 @@ pub async fn stream(State(state): State<Arc<ServerState>>, mut request: Request)
         let bucket = state.rate_limiter.bucket(peer);
         let open = state.open_sessions.register(number, peer);
         let ended = driver::serve(socket, &state, offer, open, bucket, parent).await;
-        if ended.reason.leaves_unread_bytes() || ended.ending == Some(Ending::Memory) {
+        if ended.reason.leaves_unread_bytes() || ended.eviction == Some(Eviction::Memory) {
             system_buffers::discard(tcp_stream(&ended.stream));
         }
         drop(ended.stream);
         if ended.reason.is_breach() {
             state.peer_log.report(peer, ended.reason.name());
         }
-        free_places((permit, ip_permit), ended.ending, ended.backoff_until, &state.draining).await;
+        free_places((permit, ip_permit), ended.eviction, ended.backoff_until, &state.draining).await;
     });
     response
 }
@@ -125,11 +125,11 @@ fn displace_for(client: Option<IpAddr>, offer: &ServerOffer, state: &ServerState
 /// for the client of another site that waits for it; that of its own site is not.
 async fn free_places(
     (permit, ip_permit): (OwnedSemaphorePermit, IpPermit),
-    ending: Option<Ending>,
+    eviction: Option<Eviction>,
     backoff_until: tokio::time::Instant,
     draining: &CancellationToken,
 ) {
-    let permit = (ending != Some(Ending::Displaced)).then_some(permit);
+    let permit = (eviction != Some(Eviction::Displaced)).then_some(permit);
     tokio::select! {
         () = tokio::time::sleep_until(backoff_until) => {}
         () = draining.cancelled() => {}
@@ -194,8 +194,8 @@ mod tests {
 
     #[tokio::test]
     async fn the_place_of_a_displaced_session_is_free_before_its_backoff_ends() {
-        for (ending, is_free) in
-            [(None, false), (Some(Ending::Memory), false), (Some(Ending::Displaced), true)]
+        for (eviction, is_free) in
+            [(None, false), (Some(Eviction::Memory), false), (Some(Eviction::Displaced), true)]
         {
             let (places, per_ip) = (Arc::new(Semaphore::new(1)), PerIpLimiter::new(1));
             let client = Some(IpAddr::from([10, 0, 0, 1]));
@@ -203,9 +203,9 @@ mod tests {
             let ip_permit = per_ip.try_acquire(client, 0).unwrap();
             let (until, draining) =
                 (tokio::time::Instant::now() + Duration::from_secs(3600), CancellationToken::new());
-            let mut freeing = pin!(free_places((permit, ip_permit), ending, until, &draining));
+            let mut freeing = pin!(free_places((permit, ip_permit), eviction, until, &draining));
             assert!(freeing.as_mut().now_or_never().is_none());
-            assert_eq!(places.available_permits(), usize::from(is_free), "{ending:?}");
+            assert_eq!(places.available_permits(), usize::from(is_free), "{eviction:?}");
             assert!(per_ip.try_acquire(client, 0).is_none(), "it counts for its network");
             draining.cancel();
             freeing.await;

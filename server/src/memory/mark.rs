@@ -133,7 +133,7 @@ struct Readiness {
 
 impl Readiness {
     /// Whether the server is ready, with room for so many sessions.
-    fn look(&mut self, was_ready: bool, room: u64, least: u64, now: Instant) -> bool {
+    fn update(&mut self, was_ready: bool, room: u64, least: u64, now: Instant) -> bool {
         if was_ready {
             self.since = None;
             return room > 0;
@@ -146,7 +146,7 @@ impl Readiness {
     }
 }
 
-/// Looks at the memory in use until it is dropped. Ends at once without a limit.
+/// Samples the memory in use until it is dropped. Ends at once without a limit.
 pub async fn watch(
     mark: Arc<MemoryMark>,
     metrics: Arc<Metrics>,
@@ -186,7 +186,7 @@ pub async fn watch(
         metrics.limits.memory_used_bytes.set(i64::try_from(used).unwrap_or(i64::MAX));
 
         let was_ready = mark.has_room.load(Ordering::Relaxed);
-        let is_ready = readiness.look(was_ready, room_below(used, bytes), least(bytes), now);
+        let is_ready = readiness.update(was_ready, room_below(used, bytes), least(bytes), now);
         mark.has_room.store(is_ready, Ordering::Relaxed);
         if was_ready && !is_ready {
             tracing::warn!(used_mib, %limit, "memory is nearly used up: no further sessions begin");
@@ -194,7 +194,7 @@ pub async fn watch(
             tracing::info!(used_mib, %limit, "memory is free again");
         }
 
-        let is_refilled = reclaimer.look(mark.pressure(used, bytes), now, &*server);
+        let is_refilled = reclaimer.update(mark.pressure(used, bytes), now, &*server);
         let count = sessions.shed(shedding.due(used, bytes, sessions.count(), is_refilled, now));
         if count > 0 {
             tracing::warn!(used_mib, %limit, count, "memory is nearly used up: sessions end");
@@ -229,7 +229,7 @@ mod tests {
             (30_100, 9, true),
             (30_200, 3, true),
         ] {
-            is_ready = readiness.look(is_ready, room, 4, start + Duration::from_millis(ms));
+            is_ready = readiness.update(is_ready, room, 4, start + Duration::from_millis(ms));
             assert_eq!(is_ready, expected, "{ms} ms");
         }
     }
@@ -270,6 +270,6 @@ mod tests {
         assert_eq!((mark.is_ready(), mark.is_exceeded(), mark.admits(None, 0)), (false, false, false));
         assert!(mark.room_for_view(None).is_some());
         mark.record(499 * MIB, 800 * MIB, true);
-        assert!(mark.is_ready() && mark.admits(None, 0), "one look is enough");
+        assert!(mark.is_ready() && mark.admits(None, 0), "one sample is enough");
     }
 }

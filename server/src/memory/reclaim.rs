@@ -74,7 +74,7 @@ enum Due {
 impl Reclaimer {
     /// Gives back what is due. Returns whether caches were cleared that had been cleared not long
     /// ago, which did not help.
-    pub(super) fn look(&mut self, pressure: Pressure, now: Instant, server: &impl Reclaim) -> bool {
+    pub(super) fn update(&mut self, pressure: Pressure, now: Instant, server: &impl Reclaim) -> bool {
         let due = self.due(pressure, now);
         match due {
             Due::Nothing => return false,

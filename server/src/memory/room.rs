@@ -51,7 +51,7 @@ pub(super) struct Room {
 
 #[derive(Debug)]
 struct Shares {
-    /// Room that was left at the last look.
+    /// Room that was left at the last sample.
     left: u64,
     /// The part of it that is for sites with few sessions.
     reserved: u64,
@@ -69,7 +69,7 @@ struct Shares {
 }
 
 impl Room {
-    /// Room without an end, until a look finds less.
+    /// Room without an end, until a sample finds less.
     pub(super) fn unlimited() -> Self {
         let shares = Shares {
             left: u64::MAX,
@@ -107,7 +107,7 @@ impl Room {
     pub(super) fn begin_session(&self, client: Option<IpAddr>, held: usize) -> bool {
         let mut shares = self.shares();
         let Some(left) = shares.to_begin.checked_sub(1) else { return false };
-        // Without a look nothing clears the table.
+        // Without a sample nothing clears the table.
         if let Some(client) = client.filter(|_| shares.left < u64::MAX) {
             let is_reserved = left < shares.reserved && held as u64 > left;
             let begun = shares.begun.entry(client_site(client)).or_default();
@@ -120,7 +120,7 @@ impl Room {
         true
     }
 
-    /// Whether no session had room at the last look.
+    /// Whether no session had room at the last sample.
     pub(super) fn is_full(&self) -> bool {
         self.shares().left == 0
     }
@@ -209,7 +209,7 @@ mod tests {
     #[test]
     fn as_many_sessions_begin_in_an_interval_as_have_room() {
         let room = Room::unlimited();
-        assert_eq!(begun(&room, site(1), 1000), 100, "without a look there is room");
+        assert_eq!(begun(&room, site(1), 1000), 100, "without a sample there is room");
         record(&room, 5, LIMIT, true);
         assert_eq!(begun(&room, None, 0), 5);
         record(&room, 5, LIMIT, false);

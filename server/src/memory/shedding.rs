@@ -41,7 +41,7 @@ impl Shedding {
             return Shed::default();
         }
         // The allocator gives memory back late: what does not grow is not critical. Memory that was
-        // below the mark at the last look has grown.
+        // below the mark at the last sample has grown.
         let has_grown = self.last.is_none_or(|(_, before)| used > before);
         let is_critical = used >= limit / 8 * CRITICAL_EIGHTHS && has_grown;
         let (divisor, pause) = if is_critical { SHED_CRITICAL } else { SHED };
@@ -64,8 +64,8 @@ impl Shedding {
 mod tests {
     use super::*;
 
-    /// Looks at a limit of 800 bytes.
-    fn looks() -> impl FnMut(u64, usize, bool, u64) -> (usize, bool) {
+    /// Samples at a limit of 800 bytes.
+    fn samples() -> impl FnMut(u64, usize, bool, u64) -> (usize, bool) {
         let (start, mut shedding) = (Instant::now(), Shedding::default());
         move |used, open, is_refilled, ms| {
             let now = start + Duration::from_millis(ms);
@@ -76,8 +76,8 @@ mod tests {
 
     #[test]
     fn more_sessions_end_sooner_where_memory_grows_close_to_the_limit() {
-        let mut look = looks();
-        let mut due = |used, open, ms| look(used, open, false, ms);
+        let mut sample = samples();
+        let mut due = |used, open, ms| sample(used, open, false, ms);
         let none = (0, false);
         assert_eq!(due(600, 100, 0), none, "the mark was reached just now");
         assert_eq!(due(600, 100, 1000), (13, false));
@@ -95,17 +95,17 @@ mod tests {
     }
 
     #[test]
-    fn memory_that_grows_beyond_the_critical_share_between_two_looks_ends_sessions_at_once() {
-        let mut look = looks();
-        assert_eq!(look(599, 18, false, 0), (0, false));
-        assert_eq!(look(700, 18, false, 25), (9, true));
-        assert_eq!(look(710, 9, false, 50), (0, false));
+    fn memory_that_grows_beyond_the_critical_share_between_two_samples_ends_sessions_at_once() {
+        let mut sample = samples();
+        assert_eq!(sample(599, 18, false, 0), (0, false));
+        assert_eq!(sample(700, 18, false, 25), (9, true));
+        assert_eq!(sample(710, 9, false, 50), (0, false));
     }
 
     #[test]
     fn sessions_end_once_a_second_where_the_caches_fill_the_memory_again() {
-        let mut look = looks();
-        let mut due = |used, is_refilled, ms| look(used, 80, is_refilled, ms).0;
+        let mut sample = samples();
+        let mut due = |used, is_refilled, ms| sample(used, 80, is_refilled, ms).0;
         assert_eq!(due(600, true, 0), 10, "at once");
         assert_eq!(due(600, false, 999), 0);
         assert_eq!(due(600, true, 999), 0, "sessions ended within the second");

@@ -12,7 +12,7 @@ mod transmit;
 
 use crate::generation::{Flow, FlowEvent};
 use crate::limits::rate_limit::TokenBucket;
-use crate::open_sessions::{Ending, OpenSession};
+use crate::open_sessions::{Eviction, OpenSession};
 use crate::session::chunk_traces::ChunkTraces;
 use crate::session::end::{EndReason, SessionEnd};
 use crate::session::keepalive::{Keepalive, KeepaliveAction};
@@ -40,13 +40,13 @@ pub const READ_LIMIT: usize = 8 * MAX_CONTROL_FRAME;
 /// still sending then is cut off.
 const CLOSE_TIMEOUT: Duration = Duration::from_secs(2);
 
-/// A session that has ended.
+/// A closed session.
 #[derive(Debug)]
-pub struct Ended<S> {
+pub struct ClosedSession<S> {
     /// Why: the first reason.
     pub reason: EndReason,
     /// Why the server ended it, or cut its end short; none if it did neither.
-    pub ending: Option<Ending>,
+    pub eviction: Option<Eviction>,
     /// The stream, not yet dropped.
     pub stream: S,
     /// When its refusal back-off ends, which may be after the session.
@@ -62,7 +62,7 @@ pub async fn serve<S>(
     stats: OpenSession,
     bucket: TokenBucket,
     parent: Option<Parent>,
-) -> Ended<S>
+) -> ClosedSession<S>
 where
     S: AsyncRead + AsyncWrite + Unpin,
 {
@@ -99,13 +99,18 @@ where
         tokio::select! {
             _ = timeout(CLOSE_TIMEOUT, close(socket)) => {}
             // At once. The first reason stays.
-            _ = stats.ends() => {}
+            _ = stats.evicted() => {}
         }
     }
     state.metrics.sessions.ended(end.reason.name());
     state.metrics.sessions.open.dec();
     let Remaining { socket, stats, end, backoff_until } = *rest;
-    Ended { reason: end.reason, ending: stats.ending(), stream: socket.into_stream(), backoff_until }
+    ClosedSession {
+        reason: end.reason,
+        eviction: stats.eviction(),
+        stream: socket.into_stream(),
+        backoff_until,
+    }
 }
 
 /// The remaining state of a session while its peer answers the Close frame: all else is free
@@ -211,7 +216,7 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
                     }
                 }
                 () = self.state.draining.cancelled() => return self.drain().await,
-                ending = self.stats.ends() => return SessionEnd::by_server(ending),
+                eviction = self.stats.evicted() => return SessionEnd::by_server(eviction),
                 // A client that reads cached chunks at full speed must not starve others; between
                 // two batches it is read, and a shutdown ends it.
                 () = yield_now(), if more => {}

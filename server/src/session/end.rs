@@ -1,6 +1,6 @@
 //! Why sessions end.
 
-use crate::open_sessions::Ending;
+use crate::open_sessions::Eviction;
 use protocol::CloseCode;
 use std::io;
 use std::time::Duration;
@@ -166,11 +166,11 @@ pub struct SessionEnd {
 
 impl SessionEnd {
     /// The end of a session that has done nothing wrong.
-    pub fn by_server(ending: Ending) -> Self {
-        match ending {
+    pub fn by_server(eviction: Eviction) -> Self {
+        match eviction {
             // Without a Close frame, whose answer would keep the memory.
-            Ending::Memory => Self::without_code(EndReason::MemoryShed),
-            Ending::Displaced => {
+            Eviction::Memory => Self::without_code(EndReason::MemoryShed),
+            Eviction::Displaced => {
                 Self::going_away(EndReason::Displaced, "server is full, and another site has fewer sessions")
             }
         }
@@ -233,7 +233,7 @@ mod tests {
 
     #[test]
     fn a_displaced_session_does_not_announce_a_shutdown() {
-        let (code, text) = SessionEnd::by_server(Ending::Displaced).close.unwrap();
+        let (code, text) = SessionEnd::by_server(Eviction::Displaced).close.unwrap();
         assert_eq!(code, CloseCode::GoingAway.code());
         assert!(text.contains("another site") && !text.contains("shutting down"), "{text}");
     }

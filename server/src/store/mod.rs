@@ -60,17 +60,17 @@ const READS_IN_FLIGHT: usize = 64;
 /// Indexes of packs in memory, 1 KiB each.
 const INDEXES: usize = 4096;
 
-/// Time between two looks for regions that were baked meanwhile.
-const LOOK_FOR_REGIONS: Duration = Duration::from_secs(60);
+/// Time between two scans for regions that were baked meanwhile.
+const SCAN_INTERVAL: Duration = Duration::from_secs(60);
 
-/// Time between two looks while they fail.
-const LOOK_AGAIN: Duration = Duration::from_secs(5);
+/// Time between two scans while they fail.
+const SCAN_RETRY_INTERVAL: Duration = Duration::from_secs(5);
 
-/// Longest time that a server waits for its first look before it takes clients: chunks of regions
+/// Longest time that a server waits for its first scan before it takes clients: chunks of regions
 /// that it does not know of are made.
-const FIRST_LOOK: Duration = Duration::from_secs(3);
+const FIRST_SCAN_TIMEOUT: Duration = Duration::from_secs(3);
 
-/// Time for one look: a list, and some objects at once.
+/// Time for one scan: a list, and some objects at once.
 const REGIONS_TIMEOUT: Duration = Duration::from_secs(30);
 
 /// Objects of regions that are read at once.
@@ -107,7 +107,7 @@ struct Inner {
     world: WorldDigest,
     regions: RwLock<Vec<BakedRegion>>,
     indexes: Cache<PackTile, Arc<PackIndex>>,
-    /// Tiles whose pack is damaged or lost: their chunks are objects of their own. A look for
+    /// Tiles whose pack is damaged or lost: their chunks are objects of their own. A scan for
     /// regions forgets them, since a pack may have been baked again.
     broken: Cache<PackTile, ()>,
     reads: Arc<Semaphore>,
@@ -115,10 +115,10 @@ struct Inner {
     pace: Pace,
     /// The store has refused a read, and a warning was logged.
     is_refused: AtomicBool,
-    /// The last look for regions failed, and a warning was logged.
+    /// The last scan for regions failed, and a warning was logged.
     is_unlisted: AtomicBool,
-    /// The first look for regions has ended.
-    has_looked: AtomicBool,
+    /// The first scan for regions has ended.
+    has_scanned: AtomicBool,
     /// End of the wait for it.
     ready_by: Instant,
     metrics: Arc<Metrics>,
@@ -173,8 +173,8 @@ impl Store {
             pace: Pace::new(wait),
             is_refused: AtomicBool::new(false),
             is_unlisted: AtomicBool::new(false),
-            has_looked: AtomicBool::new(false),
-            ready_by: Instant::now() + FIRST_LOOK,
+            has_scanned: AtomicBool::new(false),
+            ready_by: Instant::now() + FIRST_SCAN_TIMEOUT,
             metrics,
         });
         runtime.spawn(Arc::clone(&inner).follow_regions());
@@ -267,10 +267,10 @@ impl Store {
         }
     }
 
-    /// Whether the regions were looked for once, or were waited for long enough.
+    /// Whether the regions were scanned once, or the wait for that has ended.
     #[must_use]
     pub fn is_ready(&self, now: Instant) -> bool {
-        self.inner.has_looked.load(Ordering::Relaxed) || now >= self.inner.ready_by
+        self.inner.has_scanned.load(Ordering::Relaxed) || now >= self.inner.ready_by
     }
 
     /// Waits a bounded time for the pending writes.
@@ -278,13 +278,13 @@ impl Store {
         self.writer.close().await;
     }
 
-    /// Waits for one look for regions: for tests.
+    /// Waits for one scan of the regions: for tests.
     #[cfg(test)]
-    pub fn look_for_regions(&self) {
+    pub fn scan_regions(&self) {
         let (sender, seen) = sync_channel(1);
         let inner = Arc::clone(&self.inner);
         self.runtime.as_ref().expect("not dropped").spawn(async move {
-            inner.look_for_regions().await;
+            inner.scan_regions().await;
             let _ = sender.send(());
         });
         seen.recv().expect("the task ends");
@@ -434,17 +434,17 @@ impl Inner {
         }
     }
 
-    /// Looks for regions now and then, for ever.
+    /// Scans the regions periodically, for ever.
     async fn follow_regions(self: Arc<Self>) {
         loop {
-            let is_seen = self.look_for_regions().await;
-            self.has_looked.store(true, Ordering::Relaxed);
-            tokio::time::sleep(if is_seen { LOOK_FOR_REGIONS } else { LOOK_AGAIN }).await;
+            let has_succeeded = self.scan_regions().await;
+            self.has_scanned.store(true, Ordering::Relaxed);
+            tokio::time::sleep(if has_succeeded { SCAN_INTERVAL } else { SCAN_RETRY_INTERVAL }).await;
         }
     }
 
-    /// Whether the look succeeded.
-    async fn look_for_regions(&self) -> bool {
+    /// Whether the scan succeeded.
+    async fn scan_regions(&self) -> bool {
         let why = match timeout(REGIONS_TIMEOUT, self.list_regions()).await {
             Ok(Ok(regions)) => {
                 self.has_regions(regions);
@@ -464,7 +464,7 @@ impl Inner {
         false
     }
 
-    /// The regions that a look has found.
+    /// The regions that a scan has found.
     fn has_regions(&self, regions: Vec<BakedRegion>) {
         self.is_unlisted.store(false, Ordering::Relaxed);
         self.broken.clear();

@@ -53,7 +53,7 @@ fn replica(objects: &Arc<InMemory>, fault: Fault) -> Replica {
 fn replica_of(objects: &Arc<InMemory>, fault: Fault, source: impl ChunkSource) -> Replica {
     let metrics = Arc::new(Metrics::default());
     let store = store(objects, fault, &metrics);
-    store.look_for_regions();
+    store.scan_regions();
     let limits = Limits {
         threads: 1,
         cache_bytes: 1 << 20,
@@ -219,7 +219,7 @@ async fn a_store_that_may_not_be_listed_is_read_and_written() {
 
 /// The control is a list that ends only after the wait for it.
 #[tokio::test(flavor = "multi_thread")]
-async fn a_store_is_ready_after_its_first_look_for_regions_or_after_a_wait() {
+async fn a_store_is_ready_after_its_first_scan_regions_or_after_a_wait() {
     let start = Instant::now();
     for fault in [Fault::None, Fault::Unlisted] {
         let store = store(&Arc::default(), fault, &Arc::default());
@@ -233,7 +233,7 @@ async fn a_store_is_ready_after_its_first_look_for_regions_or_after_a_wait() {
     }
     let store = store(&Arc::default(), Fault::Silent, &Arc::default());
     let ready_by = store.inner.ready_by;
-    assert!(ready_by >= start + FIRST_LOOK);
+    assert!(ready_by >= start + FIRST_SCAN_TIMEOUT);
     assert!(!store.is_ready(ready_by - Duration::from_millis(1)) && store.is_ready(ready_by));
 }
 
@@ -345,7 +345,7 @@ async fn chunks_of_a_lost_pack_finer_than_all_stored_levels_are_only_made() {
     }
     let metrics = Arc::new(Metrics::default());
     let store = Arc::new(store(&objects, Fault::None, &metrics));
-    store.look_for_regions();
+    store.scan_regions();
     let id = ChunkId::base(ChunkKey::new(1, 0, 0).unwrap());
     let tile = PackTile::of(id.key).0;
     // Were it there, it would be read.
@@ -400,14 +400,14 @@ async fn a_region_with_the_name_of_another_is_ignored() {
     objects.put(&path, serde_json::to_vec(&larger).unwrap().into()).await.unwrap();
     let metrics = Arc::new(Metrics::default());
     let store = store(&objects, Fault::None, &metrics);
-    store.look_for_regions();
+    store.scan_regions();
     assert!(store.inner.packed(ChunkId::base(ChunkKey::new(2, 0, 0).unwrap())).is_none());
     // The control: with its own name it is used.
     objects
         .put(&names.regions().join(larger.name()), serde_json::to_vec(&larger).unwrap().into())
         .await
         .unwrap();
-    store.look_for_regions();
+    store.scan_regions();
     assert!(store.inner.packed(ChunkId::base(ChunkKey::new(2, 0, 0).unwrap())).is_some());
 }
 

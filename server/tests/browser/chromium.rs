@@ -21,7 +21,7 @@ pub const MISSING: &str =
 const TIMEOUT: Duration = Duration::from_secs(90);
 
 /// Polling interval of the page.
-const LOOK: Duration = Duration::from_millis(50);
+const POLL_INTERVAL: Duration = Duration::from_millis(50);
 
 /// A browser process with its own profile; killed and cleaned up on drop.
 pub struct Browser {
@@ -199,7 +199,7 @@ impl Tab {
                     &self.faults[..self.faults.len().min(3)]
                 );
             }
-            tokio::time::sleep(LOOK).await;
+            tokio::time::sleep(POLL_INTERVAL).await;
         }
     }
 

@@ -86,7 +86,7 @@ async fn beyond_the_mark_open_sessions_end_the_newest_first() {
     let open = OpenSessions::default();
     let sessions: Vec<_> = (1..=16).map(|number| open.register(number, None)).collect();
     let has_to_end =
-        async |index: usize| timeout(Duration::from_millis(1), sessions[index].ends()).await.is_ok();
+        async |index: usize| timeout(Duration::from_millis(1), sessions[index].evicted()).await.is_ok();
     assert!(!has_to_end(15).await);
     struct Nothing;
     impl Reclaim for Nothing {

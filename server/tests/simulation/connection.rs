@@ -19,7 +19,7 @@ const PING: u8 = 9;
 const PONG: u8 = 10;
 
 /// Time from a refused chunk of a view to the same view again.
-const LOOK_AGAIN: Duration = Duration::from_millis(150);
+const RECHECK_DELAY: Duration = Duration::from_millis(150);
 
 /// A received frame: opcode and payload.
 type Frame = (u8, Vec<u8>);
@@ -83,7 +83,7 @@ pub async fn drive(end: ClientEnd, client: &mut Client, actions: &mut Actions) -
     // One frame: while the machine does not take it, the reader stops.
     let (sender, mut frames) = mpsc::channel(1);
     let _reader = AbortOnDropHandle::new(spawn_local(read_frames(read, sender)));
-    let (mut act_at, mut look_again_at) = (actions.next(), None);
+    let (mut act_at, mut recheck_at) = (actions.next(), None);
     let mut messages = 0;
     loop {
         while let Some(message) = client.poll_transmit() {
@@ -108,7 +108,7 @@ pub async fn drive(end: ClientEnd, client: &mut Client, actions: &mut Actions) -
                         actions.received += 1;
                     }
                     if std::mem::take(&mut client.wants_view_again) {
-                        look_again_at = Some(Instant::now() + LOOK_AGAIN);
+                        recheck_at = Some(Instant::now() + RECHECK_DELAY);
                     }
                 }
                 Some((PING, payload)) => {
@@ -123,8 +123,8 @@ pub async fn drive(end: ClientEnd, client: &mut Client, actions: &mut Actions) -
                 actions.act(client);
                 act_at = actions.next();
             }
-            () = sleep_until_some(look_again_at), if look_again_at.is_some() => {
-                look_again_at = None;
+            () = sleep_until_some(recheck_at), if recheck_at.is_some() => {
+                recheck_at = None;
                 client.look_again();
             }
         }

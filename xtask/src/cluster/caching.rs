@@ -33,7 +33,7 @@ const GENERATED: &str = "tombolo_generation_jobs_total{outcome=\"completed\"}";
 
 /// Responses of one address.
 #[derive(Clone, Copy, Debug, Default)]
-struct Seen {
+struct Received {
     /// Requests that a replica answered.
     misses: u32,
     /// Of all answers to this address; the first stands for it.
@@ -90,7 +90,7 @@ fn with_store() -> Result<Vec<Bar>> {
         bad += asked.wrong + asked.failed;
     }
     let again = generated(&cluster)? - before;
-    let control = of_spoilt_truth(&cluster.replicas[0], &paths[0], &mut truth)?;
+    let control = of_corrupted_truth(&cluster.replicas[0], &paths[0], &mut truth)?;
     let wrong: u32 = all.values().map(|seen| seen.wrong).sum();
     let keys = all.len() as f64;
     Ok(vec![
@@ -121,15 +121,15 @@ fn truth_of(paths: &[String]) -> Result<Truth> {
 }
 
 /// Addresses whose first answer has other bytes than the truth.
-fn differing(all: &HashMap<u32, Seen>, level: u8, truth: &Truth) -> usize {
-    let is_right = |place: u32, seen: &Seen| {
+fn differing(all: &HashMap<u32, Received>, level: u8, truth: &Truth) -> usize {
+    let is_right = |place: u32, seen: &Received| {
         truth.get(&path(level, place)).is_some_and(|frame| seen.content == Some(content_of(frame)))
     };
     all.iter().filter(|(place, seen)| !is_right(**place, seen)).count()
 }
 
 /// The control: wrong answers of a replica for a chunk whose truth has another bit.
-fn of_spoilt_truth(replica: &Server, path: &str, truth: &mut Truth) -> Result<usize> {
+fn of_corrupted_truth(replica: &Server, path: &str, truth: &mut Truth) -> Result<usize> {
     let frame = truth.get_mut(path).context("no truth")?;
     *frame.last_mut().context("an empty chunk")? ^= 1;
     Ok(chunks::ask(replica.address(), &[path.to_owned()], truth, || Ok(()))?.wrong)
@@ -148,7 +148,7 @@ fn generated(cluster: &Cluster) -> Result<f64> {
 }
 
 /// Sends all requests for chunks of a level. The responses by chunk, and the generated chunks.
-fn requested(cluster: &Cluster, level: u8) -> Result<(HashMap<u32, Seen>, f64)> {
+fn requested(cluster: &Cluster, level: u8) -> Result<(HashMap<u32, Received>, f64)> {
     let proxy = cluster.nginx.address();
     let digest = world(proxy)?;
     let before = generated(cluster)?;
@@ -162,7 +162,7 @@ fn requested(cluster: &Cluster, level: u8) -> Result<(HashMap<u32, Seen>, f64)> 
             .collect();
         threads.into_iter().map(|thread| thread.join().expect("no panic")).collect::<Result<_>>()
     })?;
-    let mut all: HashMap<u32, Seen> = HashMap::new();
+    let mut all: HashMap<u32, Received> = HashMap::new();
     for (key, part) in parts.into_iter().flatten() {
         let seen = all.entry(key).or_default();
         let differs = seen.content.is_some_and(|content| part.content != Some(content));
@@ -185,9 +185,9 @@ fn send(
     (digest, level): (&str, u8),
     sum: &[f64],
     number: u32,
-) -> Result<HashMap<u32, Seen>> {
+) -> Result<HashMap<u32, Received>> {
     let agent = agent();
-    let mut all: HashMap<u32, Seen> = HashMap::new();
+    let mut all: HashMap<u32, Received> = HashMap::new();
     for request in 0..REQUESTS / THREADS {
         let random = f64::from(mix(request * THREADS + number)) / f64::from(u32::MAX);
         let rank =
@@ -220,11 +220,11 @@ mod tests {
 
     #[test]
     fn first_answers_are_compared_with_the_truth_and_not_with_each_other() {
-        let seen = |body: &[u8]| Seen { content: Some(content_of(body)), ..Seen::default() };
+        let seen = |body: &[u8]| Received { content: Some(content_of(body)), ..Received::default() };
         let truth = Truth::from([(path(2, 7), vec![1, 2]), (path(2, 8), vec![3])]);
-        let differing = |all: [(u32, Seen); 2]| differing(&HashMap::from(all), 2, &truth);
+        let differing = |all: [(u32, Received); 2]| differing(&HashMap::from(all), 2, &truth);
         assert_eq!(differing([(7, seen(&[1, 2])), (8, seen(&[3]))]), 0);
-        assert_eq!(differing([(7, seen(&[1, 2])), (8, seen(&[2]))]), 1, "a spoilt chunk");
+        assert_eq!(differing([(7, seen(&[1, 2])), (8, seen(&[2]))]), 1, "a corrupted chunk");
         assert_eq!(differing([(7, seen(&[1, 2])), (9, seen(&[3]))]), 1, "a chunk without a truth");
     }
 }

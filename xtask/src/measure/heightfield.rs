@@ -241,14 +241,14 @@ mod tests {
             ("chunk_sse4.1", 0.451),
         ] {
             let mut reports = good();
-            let spoil = |report: &mut Value, value| report["figures"][key]["ratio"]["median"] = value;
-            spoil(&mut reports.0[1], json!(bad));
+            let corrupt = |report: &mut Value, value| report["figures"][key]["ratio"]["median"] = value;
+            corrupt(&mut reports.0[1], json!(bad));
             assert_eq!(missed(&reports), 0, "{key}");
-            spoil(&mut reports.0[0], json!(bad));
+            corrupt(&mut reports.0[0], json!(bad));
             assert_eq!(missed(&reports), 1, "{key}");
             for lost in [Value::Null, json!("fast")] {
                 let mut reports = good();
-                spoil(&mut reports.0[2], lost);
+                corrupt(&mut reports.0[2], lost);
                 assert_eq!(missed(&reports), 1, "{key}");
             }
         }

@@ -232,16 +232,16 @@ mod tests {
     fn the_generated_page_passes_and_a_changed_figure_or_record_fails() {
         let whole = files();
         assert_eq!(faults(&whole), []);
-        let spoil = |path: &str, from: &str, to: &str| {
+        let corrupt = |path: &str, from: &str, to: &str| {
             let mut files = whole.clone();
             let text = files[path].replace(from, to);
             assert_ne!(text, files[path]);
             files.insert(path.into(), text);
             faults(&files).len()
         };
-        assert_eq!(spoil(PATH, "2.5 s", "2.4 s"), 1);
-        assert_eq!(spoil("docs/measurements/2026-01-02-x/streaming.md", "2.5 s", "2.4 s"), 1);
-        assert_eq!(spoil("docs/measurements/notes/streaming.md", "One", "Two"), 1);
+        assert_eq!(corrupt(PATH, "2.5 s", "2.4 s"), 1);
+        assert_eq!(corrupt("docs/measurements/2026-01-02-x/streaming.md", "2.5 s", "2.4 s"), 1);
+        assert_eq!(corrupt("docs/measurements/notes/streaming.md", "One", "Two"), 1);
         let mut without = whole.clone();
         without.remove(PATH);
         assert_eq!(faults(&without).len(), 1);

@@ -29,9 +29,9 @@ const BLOCK: u64 = 4096;
 /// Interval between attempts to open an unavailable folder.
 const RETRY_INTERVAL: Duration = Duration::from_secs(60);
 
-/// Interval between two looks for a command while the folder is unavailable: an attempt may be due
+/// Interval between two polls for a command while the folder is unavailable: an attempt may be due
 /// though nothing is written, and the channel has no blocking receive with a timeout.
-const LOOK_INTERVAL: Duration = Duration::from_millis(200);
+const POLL_INTERVAL: Duration = Duration::from_millis(200);
 
 /// Lock file of the server that uses the folder.
 const LOCK_FILE: &str = "lock";
@@ -122,7 +122,7 @@ impl DiskWriter {
                         continue;
                     }
                     Err(TryRecvError::Empty) => {
-                        std::thread::sleep(LOOK_INTERVAL);
+                        std::thread::sleep(POLL_INTERVAL);
                         self.try_open(Instant::now());
                         continue;
                     }

@@ -44,7 +44,7 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
         };
         let result = tokio::select! {
             written = write => written,
-            ending = self.stats.ends() => Err(SessionEnd::by_server(ending)),
+            eviction = self.stats.evicted() => Err(SessionEnd::by_server(eviction)),
             // A slow reader must not miss the announcement.
             () = self.state.draining.cancelled(), if !self.is_draining => {
                 self.socket.drop_unwritten();
