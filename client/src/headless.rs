@@ -38,7 +38,7 @@ const FIRST_ATTEMPTS: u32 = 3;
 const POLL_PAUSE: Duration = Duration::from_millis(2);
 
 /// A camera that never turns needs no shadows of invisible chunks.
-const VISIBLE_PER_FRAME: Quota = Quota { ahead: 0, ..PER_FRAME };
+const VISIBLE_PER_FRAME: Quota = Quota { hidden: 0, ..PER_FRAME };
 
 /// Options of a rendering.
 #[derive(Clone, Debug, PartialEq)]

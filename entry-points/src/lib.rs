@@ -1,5 +1,6 @@
-//! Every place where bytes of a peer or of a file, or numbers of a view, come in, as functions for
-//! fuzzing.
+//! Places where bytes of a peer or of a file, or numbers of a view, come in, as functions for
+//! fuzzing: every decoder of this project. What a library decodes into a few fields has none: the
+//! JSON of a store's regions and of problem documents, and the PNG files of textures.
 //!
 //! A function accepts any bytes. It panics if they violate an invariant, and otherwise says whether
 //! they were accepted. The targets of the package `fuzz` call it under libFuzzer; the test `smoke`

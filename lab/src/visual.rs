@@ -1,8 +1,8 @@
 //! `tombolo-lab visual`: what a person would notice in pictures of the land.
 //!
-//! Light across borders of chunks (`borders`), the change of shading with the tolerance
-//! (`tolerance`), light in shadow (`shadow`): each with the normals of the land and, as its
-//! control, with those of the drawn triangles. The power spectrum of the ground (`spectrum`),
+//! Light across borders of chunks (`borders`; control: one side is brightened), the change of
+//! shading with the tolerance (`tolerance`; control: normals of the drawn triangles), light in
+//! shadow (`shadow`). The power spectrum of the ground (`spectrum`),
 //! shadows of objects on floors (`floor_shadow`), near planes under lifted eyes (`near_plane`),
 //! impostors of trees (`impostors`), shadows of trees (`tree_shadow`), times of frames
 //! (`frame_time`). `cargo xtask measure visual` compares the figures with their bars; here only a
@@ -54,7 +54,7 @@ struct Report {
     /// Pixels of all pictures above with light that is no finite number.
     unlit: u64,
     floor: floor_shadow::FloorShadow,
-    lifted: near_plane::Lifted,
+    lifted: near_plane::NearPlaneClipping,
     impostors: impostors::Impostors,
     tree_shadow: tree_shadow::TreeShadow,
     frame_time: frame_time::FrameTime,
@@ -75,7 +75,7 @@ pub fn run(options: &Options, outputs: &Outputs) -> Result<()> {
     let shadow = shadow::measure(&mut views)?;
     note("power spectrum of the ground");
     let spectrum = spectrum::measure(&mut views, &land, options.poses.div_ceil(3))?;
-    let (adapter, unlit) = (views.adapter(), views.unlit);
+    let (adapter, unlit) = (views.adapter(), views.non_finite_pixels);
     drop(views);
     note("shadows on floors");
     let floor = floor_shadow::measure()?;

@@ -142,7 +142,7 @@ impl Base {
 
 /// Within this distance of the water line (128 m of shore, 2^-16 m) the finest octave shapes it.
 pub(crate) const SHORE_REACH: i32 = (1 << 23) - 1;
-/// The shore at which mountains have risen fully, 2^-16 m.
+/// Range of shore beyond 8 m over which mountains rise, 2^-16 m.
 pub(crate) const INLAND_REACH: i32 = (1 << 23) - 1;
 
 /// The shore without noise, 2^-16 m: the rim of the mass lies deep, its middle high.

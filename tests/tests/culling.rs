@@ -96,8 +96,8 @@ fn the_gpu_keeps_the_clumps_of_the_twin_in_the_same_order() {
             let selection = select(&mut world, &view.viewer());
             let plants = view.plants(&world, &selection.drawn).unwrap();
             let chosen = field.choose(&world, &view, &selection.drawn);
-            for (stand, (clumps, stats)) in plants.species.iter().zip(&chosen) {
-                let mut twin = cull_on_cpu(&world, &plants, stand);
+            for (species, (clumps, stats)) in plants.species.iter().zip(&chosen) {
+                let mut twin = cull_on_cpu(&world, &plants, species);
                 // The GPU writes each level of detail separately.
                 twin.sort_by_key(|kept| kept.detail);
                 assert_eq!((stats.blocks_lost, stats.clumps_lost), (0, 0), "{camera} {cull:?}");

@@ -82,14 +82,14 @@ fn compared(scene: &Scene) -> Counts {
     let square = &scene.plants.grid;
     let surface = Surface { slots: &slots, nodes: &square.nodes, chunks: &square.chunks };
     let (mut found, mut hint_m) = (Counts::default(), 0.0);
-    for stand in &scene.plants.species {
-        let with = |path| SpeciesParams { culling: Culling { path, ..stand.culling }, ..stand.clone() };
+    for species in &scene.plants.species {
+        let with = |path| SpeciesParams { culling: Culling { path, ..species.culling }, ..species.clone() };
         let all = cull_on_cpu(&scene.world, &scene.plants, &with(CULL_FRUSTUM));
         let kept: BTreeSet<_> =
             cull_on_cpu(&scene.world, &scene.plants, &with(CULL_HIERARCHICAL)).into_iter().collect();
         assert!(kept.len() <= all.len());
         for clump in all.iter().step_by((all.len() / SAMPLE).max(1)) {
-            let vertices = clump_vertices(scene, &surface, stand, &clump.clump, clump.detail);
+            let vertices = clump_vertices(scene, &surface, species, &clump.clump, clump.detail);
             if vertices.height_m < 0.1 {
                 continue;
             }
@@ -172,8 +172,8 @@ fn an_eye_below_ground_culls_no_clump() {
     let below = scene(hills, eye, 30.0, FEW);
     let above = scene(hills, [10.0, eye[1] + 7.0, 10.0], 30.0, FEW);
     let count = |scene: &Scene, path| {
-        let stand = &scene.plants.species[0];
-        let with = SpeciesParams { culling: Culling { path, ..stand.culling }, ..stand.clone() };
+        let species = &scene.plants.species[0];
+        let with = SpeciesParams { culling: Culling { path, ..species.culling }, ..species.clone() };
         cull_on_cpu(&scene.world, &scene.plants, &with).len()
     };
     assert_eq!(count(&below, CULL_HIERARCHICAL), count(&below, CULL_FRUSTUM));
@@ -183,24 +183,24 @@ fn an_eye_below_ground_culls_no_clump() {
 #[test]
 fn a_clump_at_the_eye_is_kept() {
     let first = scene(hills, [10.0, height_m(hills, 10.0, 10.0) + 1.7, 10.0], 0.0, FEW);
-    let stand = &first.plants.species[0];
+    let species = &first.plants.species[0];
     let all = cull_on_cpu(
         &first.world,
         &first.plants,
-        &SpeciesParams { culling: Culling { path: CULL_DISTANCE, ..stand.culling }, ..stand.clone() },
+        &SpeciesParams { culling: Culling { path: CULL_DISTANCE, ..species.culling }, ..species.clone() },
     );
     let nearest = all
         .iter()
-        .min_by_key(|kept| distance_squared(&stand.culling, kept.clump.x, kept.clump.y, kept.clump.z))
+        .min_by_key(|kept| distance_squared(&species.culling, kept.clump.x, kept.clump.y, kept.clump.z))
         .unwrap();
     let corner = first.plants.grid.corner.map(|units| f64::from(units) / 256.0);
     let fine = |at: i32| f64::from(at) / 4096.0;
     let root =
         [fine(nearest.clump.x) + corner[0], fine(nearest.clump.y) + 0.05, fine(nearest.clump.z) + corner[1]];
     let there = scene(hills, root, 0.0, FEW);
-    let stand = &there.plants.species[0];
-    let kept = cull_on_cpu(&there.world, &there.plants, stand);
-    let eye = stand.culling.eye;
+    let species = &there.plants.species[0];
+    let kept = cull_on_cpu(&there.world, &there.plants, species);
+    let eye = species.culling.eye;
     let beside =
         |clump: &shaders::twin::placement::Clump| (clump.x - eye[0]).abs().max((clump.z - eye[2]).abs()) < 64;
     assert!(kept.iter().any(|kept| beside(&kept.clump)), "the clump at the eye");
@@ -220,7 +220,7 @@ fn a_clump_at_the_eye_is_kept() {
             slope_east: 0,
             slope_south: 0,
         };
-        assert!(!is_occluded(&surface, eye, &target, stand.culling.start), "{apart}");
+        assert!(!is_occluded(&surface, eye, &target, species.culling.start), "{apart}");
     }
 }
 
@@ -254,7 +254,7 @@ fn a_wall_of_4_km_and_a_cliff_cull_no_visible_clump() {
 fn densities_are_zero_without_grass_and_limited_at_most() {
     let eye = [10.0, height_m(hills, 10.0, 10.0) + 1.7, 10.0];
     let none = scene(hills, eye, 0.0, VegetationSettings { density: 0, trees: 1, ..FEW });
-    assert!(none.plants.species.iter().all(|stand| stand.field.kind != shaders::layout::KIND_GRASS));
+    assert!(none.plants.species.iter().all(|species| species.field.kind != shaders::layout::KIND_GRASS));
     let vegetation = VegetationSettings {
         density: VegetationSettings::MAX_DENSITY,
         trees: 0,

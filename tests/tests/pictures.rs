@@ -1,4 +1,4 @@
-//! The headless viewer against golden pictures, and near misses that must fail.
+//! The headless viewer against golden pictures, and controls that must fail.
 
 use client::features::vegetation::VegetationSettings;
 use client::gpu::Image;
@@ -59,12 +59,12 @@ fn shaded_mesh() -> Options {
 }
 
 /// A scene without land.
-fn local(scene: Scene) -> Options {
+fn landless(scene: Scene) -> Options {
     Options { scene, pose: scene.start(), ..options(&START) }
 }
 
-/// Renders local land, or a scene without land.
-fn drawn(options: &Options) -> Option<(Image, Stats)> {
+/// Renders land that is generated locally, or a scene without land.
+fn render_or_skip(options: &Options) -> Option<(Image, Stats)> {
     if options.scene.is_local() {
         return rendered_or_skip(headless::render_local(options, Instant::now()));
     }
@@ -73,7 +73,7 @@ fn drawn(options: &Options) -> Option<(Image, Stats)> {
 
 /// Compares a view with its golden picture.
 fn check(name: &str, options: &Options) {
-    if let Some((picture, _)) = drawn(options) {
+    if let Some((picture, _)) = render_or_skip(options) {
         golden::check(name, &picture).unwrap();
     }
 }
@@ -90,7 +90,7 @@ fn the_island_equals_its_golden_pictures() {
 #[test]
 fn shadows_plants_sea_and_night_equal_their_golden_pictures() {
     check("evening", &evening());
-    if let Some((picture, _)) = drawn(&plants()) {
+    if let Some((picture, _)) = render_or_skip(&plants()) {
         golden::check_within("plants", &picture, FINE_TOLERANCE).unwrap();
     }
     check("sea", &sea());
@@ -100,12 +100,12 @@ fn shadows_plants_sea_and_night_equal_their_golden_pictures() {
 
 #[test]
 fn scenes_without_land_equal_their_golden_pictures() {
-    check("relief", &local(Scene::Brick));
-    check("silhouettes", &local(Scene::Spom));
-    check("bay", &local(Scene::Water));
+    check("relief", &landless(Scene::Brick));
+    check("silhouettes", &landless(Scene::Spom));
+    check("bay", &landless(Scene::Water));
 }
 
-/// Fails if a picture that is not the golden one passes for it on another driver.
+/// Fails if a picture that is not the golden one is within its tolerance.
 fn must_differ(name: &str, what: &str, picture: &Image) {
     must_differ_by(TOLERANCE, name, what, picture);
 }
@@ -138,12 +138,12 @@ fn near_misses_of_the_light_fail_the_comparison() {
     }
     let mut unshaded = evening();
     unshaded.settings.shadows = Shadows::Off;
-    let Some((unshaded, _)) = drawn(&unshaded) else { return };
+    let Some((unshaded, _)) = render_or_skip(&unshaded) else { return };
     must_differ("evening", "without shadows", &unshaded);
     let sun = Scene::Island.light().sun;
     let azimuth_deg = sun.x.atan2(-sun.z).to_degrees();
     let moved = with_sun(options(&START), azimuth_deg + 5.0, sun.y.asin().to_degrees());
-    must_differ("start", "the sun moved by 5 degrees", &drawn(&moved).unwrap().0);
+    must_differ("start", "the sun moved by 5 degrees", &render_or_skip(&moved).unwrap().0);
 }
 
 #[test]
@@ -167,9 +167,9 @@ fn a_picture_without_one_of_its_trees_fails_the_comparison() {
     }
     let mut treeless = plants();
     treeless.settings.plants.trees = 0;
-    let Some((treeless, _)) = drawn(&treeless) else { return };
+    let Some((treeless, _)) = render_or_skip(&treeless) else { return };
     let golden = golden::golden("plants").unwrap();
-    let tree = smallest_patch(&golden, &treeless, 80).expect("trees stand in the picture");
+    let tree = smallest_component(&golden, &treeless, 80).expect("trees stand in the picture");
     let mut one_less = golden;
     for at in &tree {
         one_less.rgba[at * 4..][..4].copy_from_slice(&treeless.rgba[at * 4..][..4]);
@@ -211,9 +211,9 @@ fn without_the_last_octave(key: ChunkKey, heights: &mut [i32; VERTEX_COUNT], err
     error
 }
 
-/// The pixels of the smallest connected patch of at least `least` pixels in which two pictures
+/// The pixels of the smallest connected component of at least `least` pixels in which two pictures
 /// differ visibly.
-fn smallest_patch(one: &Image, two: &Image, least: usize) -> Option<Vec<usize>> {
+fn smallest_component(one: &Image, two: &Image, least: usize) -> Option<Vec<usize>> {
     let width = one.width as usize;
     let pixels = one.rgba.as_chunks::<4>().0.iter().zip(two.rgba.as_chunks::<4>().0);
     let mut is_left: Vec<bool> = pixels.map(|(a, b)| (0..3).any(|c| a[c].abs_diff(b[c]) > 24)).collect();
@@ -240,7 +240,7 @@ async fn the_streamed_picture_equals_the_local_one_byte_for_byte() {
     let url = server.stream_url();
     let compared = tokio::task::spawn_blocking(move || {
         let options = options(&START);
-        let Some((local, _)) = drawn(&options) else { return };
+        let Some((local, _)) = render_or_skip(&options) else { return };
         let settings = Settings::new(url.parse().unwrap());
         let feed = ServerStream::connect(settings).unwrap();
         let (streamed, stats) = headless::render(&options, feed, Instant::now(), |_| {}).unwrap();
@@ -274,7 +274,7 @@ fn four_samples_a_pixel_smooth_the_outlines_of_trees() {
         let mut options = trees.clone();
         options.pose.yaw_deg += east * pixel_deg;
         options.pose.pitch_deg += up * pixel_deg;
-        drawn(&options).map(|(picture, _)| picture)
+        render_or_skip(&options).map(|(picture, _)| picture)
     };
     let places = [-0.375, -0.125, 0.125, 0.375];
     let shifts = places.into_iter().zip([0.125, -0.375, 0.375, -0.125]);
@@ -291,7 +291,7 @@ fn four_samples_a_pixel_smooth_the_outlines_of_trees() {
     };
     let outlines: Vec<usize> = (0..sky).filter(|index| index % 4 < 3).filter(differs).collect();
     let error = |samples| {
-        let (picture, _) = drawn(&Options { samples, ..trees.clone() }).expect("drawn before");
+        let (picture, _) = render_or_skip(&Options { samples, ..trees.clone() }).expect("drawn before");
         let off = outlines.iter().map(|index| u64::from(picture.rgba[*index].abs_diff(truth.rgba[*index])));
         off.sum::<u64>() as f64 / outlines.len() as f64
     };
@@ -305,7 +305,9 @@ fn a_small_chunk_budget_costs_detail_and_leaves_no_holes() {
     let whole = Options { tolerance_px: 0.5, ..options(&START) };
     // The least budget that the viewer's option allows.
     let small = Options { chunk_bytes: 8 << 20, ..whole.clone() };
-    let (Some((coarse, stats)), Some((fine, _))) = (drawn(&small), drawn(&whole)) else { return };
+    let (Some((coarse, stats)), Some((fine, _))) = (render_or_skip(&small), render_or_skip(&whole)) else {
+        return;
+    };
     assert!(stats.chunk_bytes_resident <= small.chunk_bytes && stats.tolerance_px > 0.5, "{stats:?}");
     let difference = Difference::between(&coarse, &fine);
     assert!(difference.mean > 0.0 && difference.mean < 12.0, "coarser, but the same island: {difference:?}");

@@ -2,6 +2,10 @@
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
+/// Environment variable with a part of the name of the GPU to use, in any case. The best one of all
+/// is used without it, or if it is empty.
+pub const ADAPTER_NAME: &str = "WGPU_ADAPTER_NAME";
+
 /// An open GPU.
 #[derive(Debug)]
 pub struct Gpu {
@@ -44,10 +48,21 @@ pub enum GpuError {
          mesa-vulkan-drivers libvulkan1`"
     )]
     NoAdapter(String),
+    /// No adapter has the name that [`ADAPTER_NAME`] asks for.
+    #[error(
+        "no GPU has `{wanted}` in its name; usable here: {known}; set {ADAPTER_NAME} to a part of one of \
+         these names, or unset it"
+    )]
+    NoSuchAdapter {
+        /// The value of the variable.
+        wanted: String,
+        /// Names of the adapters.
+        known: String,
+    },
     /// The adapter lacks what portable WebGPU guarantees.
     #[error(
         "the GPU `{adapter}` cannot be used ({cause}): update its driver or choose another with \
-         WGPU_ADAPTER_NAME"
+         {ADAPTER_NAME}"
     )]
     NoDevice {
         /// Its name.
@@ -61,7 +76,7 @@ pub enum GpuError {
     /// The device was lost or ran out of memory more often than it is replaced.
     #[error(
         "the GPU failed and was opened again {attempts} times, the last failure: {cause}; lower --chunk-mb \
-         or --size, or choose another GPU with WGPU_ADAPTER_NAME"
+         or --size, or choose another GPU with {ADAPTER_NAME}"
     )]
     LostAgain {
         /// Devices that were opened in place of failed ones.
@@ -86,6 +101,7 @@ pub fn instance(display: Option<Box<dyn wgpu::wgt::WgpuHasDisplayHandle>>) -> wg
 
 impl Gpu {
     /// Opens the best adapter that can present to `surface`; without a surface the best of all.
+    /// With [`ADAPTER_NAME`] only adapters of that name count.
     ///
     /// # Errors
     /// There is no adapter, or its driver refuses.
@@ -105,15 +121,10 @@ impl Gpu {
         surface: Option<&wgpu::Surface<'_>>,
         optional: wgpu::Features,
     ) -> Result<Self, GpuError> {
-        let options = wgpu::RequestAdapterOptions {
-            power_preference: wgpu::PowerPreference::HighPerformance,
-            compatible_surface: surface,
-            ..Default::default()
+        let adapter = match std::env::var(ADAPTER_NAME) {
+            Ok(wanted) if !wanted.is_empty() => named_adapter(&instance, surface, wanted).await?,
+            _ => best_adapter(&instance, surface).await?,
         };
-        let adapter = instance
-            .request_adapter(&options)
-            .await
-            .map_err(|error| GpuError::NoAdapter(one_line(&error.to_string())))?;
         Self::of_adapter(instance, adapter, optional).await
     }
 
@@ -226,6 +237,41 @@ impl Gpu {
     }
 }
 
+async fn best_adapter(
+    instance: &wgpu::Instance,
+    surface: Option<&wgpu::Surface<'_>>,
+) -> Result<wgpu::Adapter, GpuError> {
+    let options = wgpu::RequestAdapterOptions {
+        power_preference: wgpu::PowerPreference::HighPerformance,
+        compatible_surface: surface,
+        ..Default::default()
+    };
+    let found = instance.request_adapter(&options).await;
+    found.map_err(|error| GpuError::NoAdapter(one_line(&error.to_string())))
+}
+
+/// The first adapter of a name. Not by wgpu's own function, which panics if there is none.
+async fn named_adapter(
+    instance: &wgpu::Instance,
+    surface: Option<&wgpu::Surface<'_>>,
+    wanted: String,
+) -> Result<wgpu::Adapter, GpuError> {
+    let mut adapters = instance.enumerate_adapters(wgpu::Backends::all()).await;
+    adapters.retain(|adapter| surface.is_none_or(|surface| adapter.is_surface_supported(surface)));
+    let names: Vec<String> = adapters.iter().map(|adapter| adapter.get_info().name).collect();
+    match position_of(&wanted, &names) {
+        Some(index) => Ok(adapters.swap_remove(index)),
+        None if names.is_empty() => Err(GpuError::NoSuchAdapter { wanted, known: "none".into() }),
+        None => Err(GpuError::NoSuchAdapter { wanted, known: names.join(", ") }),
+    }
+}
+
+/// The first of some names that contains a text, in any case.
+fn position_of(wanted: &str, names: &[String]) -> Option<usize> {
+    let wanted = wanted.to_lowercase();
+    names.iter().position(|name| name.to_lowercase().contains(&wanted))
+}
+
 /// The first four lines of a driver's message as one.
 fn one_line(text: &str) -> String {
     let lines = text.lines().map(str::trim).filter(|line| !line.is_empty() && *line != "Caused by:");
@@ -235,6 +281,21 @@ fn one_line(text: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn an_adapter_is_found_by_a_part_of_its_name_in_any_case() {
+        let names = ["NVIDIA H200", "llvmpipe (LLVM 15.0.6)", "llvmpipe"].map(String::from);
+        assert_eq!(position_of("LLVMpipe", &names), Some(1));
+        assert_eq!(position_of("h200", &names), Some(0));
+        assert_eq!(position_of("radv", &names), None);
+    }
+
+    #[test]
+    fn an_error_without_a_match_lists_the_names() {
+        let found = pollster::block_on(named_adapter(&instance(None), None, "no such GPU".into()));
+        let error = found.unwrap_err().to_string();
+        assert!(error.contains("`no such GPU`") && error.contains(ADAPTER_NAME), "{error}");
+    }
 
     #[test]
     fn a_loss_is_known_whatever_fault_came_first() {

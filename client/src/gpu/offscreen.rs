@@ -27,7 +27,7 @@ impl std::fmt::Debug for Image {
 #[derive(Debug)]
 pub struct OffscreenTarget {
     texture: wgpu::Texture,
-    /// The color attachment.
+    /// The colour attachment.
     pub view: wgpu::TextureView,
 }
 

@@ -21,11 +21,11 @@ pub struct Output<'a> {
     pub vertex: Option<&'a str>,
     /// Fragment entry point.
     pub fragment: Option<&'a str>,
-    /// Format of the color target; none for depth only.
+    /// Format of the colour target; none for depth only.
     pub format: Option<wgpu::TextureFormat>,
 }
 
-/// Linear HDR color, by the first entry points.
+/// Linear HDR colour, by the first entry points.
 pub const HDR: Output<'static> = Output { vertex: None, fragment: None, format: Some(HDR_FORMAT) };
 
 /// Depth only: no fragment shader.

@@ -1,5 +1,6 @@
 //! Window surface with a non-sRGB format, and handling of every surface-texture error.
 
+use crate::gpu::device::ADAPTER_NAME;
 use crate::gpu::{Gpu, GpuError};
 
 /// A window's surface.
@@ -29,9 +30,9 @@ impl WindowSurface {
     pub fn new(gpu: &Gpu, surface: wgpu::Surface<'static>, size: (u32, u32)) -> Result<Self, GpuError> {
         let mut config =
             surface.get_default_config(&gpu.adapter, size.0.max(1), size.1.max(1)).ok_or_else(|| {
-                GpuError::Fault(
-                    "the GPU cannot present to this window: choose another with WGPU_ADAPTER_NAME".into(),
-                )
+                GpuError::Fault(format!(
+                    "the GPU cannot present to this window: choose another with {ADAPTER_NAME}"
+                ))
             })?;
         let formats = surface.get_capabilities(&gpu.adapter).formats;
         let unorm_format = formats.iter().copied().find(|format| {

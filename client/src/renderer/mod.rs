@@ -3,6 +3,7 @@
 //! Owns pipelines, targets, the chunk pool and the shadow schedule. Knows nothing of windows,
 //! sessions or time: it records commands into a view of the caller.
 
+mod inspection;
 pub mod scenes;
 
 use crate::cache::Resident;
@@ -18,9 +19,9 @@ use crate::features::vegetation::tree_cells::TreeCells;
 use crate::features::water::{WaterPass, WaveMap};
 use crate::frame::{Background, FrameData};
 use crate::gpu::buffer::create_buffer;
-use crate::gpu::targets::{self, Targets};
+use crate::gpu::targets::Targets;
 use crate::gpu::timer::{GpuTimer, TimedPass};
-use crate::gpu::{Gpu, GpuError, OffscreenTarget, PassTimes, offscreen};
+use crate::gpu::{Gpu, GpuError, PassTimes};
 use crate::renderer::scenes::LocalScene;
 use crate::scene::Scene;
 use crate::scene::objects::Object;
@@ -270,93 +271,11 @@ impl Renderer {
         }
     }
 
-    /// Draws a frame and returns its linear HDR color, row by row from the top: RGBA as half
-    /// floats. For checks before the tone curve. Blocks until it is drawn; none with several
-    /// samples per pixel.
-    ///
-    /// # Errors
-    /// The device fails.
-    pub fn read_hdr(
-        &mut self,
-        gpu: &Gpu,
-        frame: &FrameData,
-        target: &OffscreenTarget,
-    ) -> Result<Option<Vec<u16>>, GpuError> {
-        self.finish_bake(gpu, frame)?;
-        let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        self.draw(gpu, frame, &mut encoder, &target.view);
-        gpu.queue.submit([encoder.finish()]);
-        if self.targets.resolved.is_some() {
-            return Ok(None);
-        }
-        let bytes = offscreen::read_texture(gpu, self.targets.hdr_target.texture(), 8)?;
-        Ok(Some(bytes.chunks_exact(2).map(|half| u16::from_le_bytes([half[0], half[1]])).collect()))
-    }
-
-    /// Records the vegetation culling, with which every frame begins; separate for measurements.
-    pub fn cull_vegetation(&mut self, gpu: &Gpu, frame: &FrameData, encoder: &mut wgpu::CommandEncoder) {
-        // Trees are placed with the patterns of the frame.
-        gpu.queue.write_buffer(&self.uniforms, 0, bytemuck::bytes_of(&frame.uniforms));
-        self.cull(gpu, frame, encoder);
-    }
-
     fn cull(&mut self, gpu: &Gpu, frame: &FrameData, encoder: &mut wgpu::CommandEncoder) {
         if let Some(plants) = &frame.plants {
             let vegetation = self.vegetation.get_or_insert_with(|| VegetationRenderer::new(&gpu.device));
             vegetation.cull(gpu, &self.uniforms, (&self.pool, &self.trees), self.samples, plants, encoder);
         }
-    }
-
-    /// Draws the ids of the plants that were last culled, behind the frame's land, and returns
-    /// those of each pixel, row by row from the top; zeros where no plant is visible. For checks;
-    /// blocks until it is drawn. None with several samples per pixel.
-    ///
-    /// # Errors
-    /// The device fails.
-    pub fn read_ids(&mut self, gpu: &Gpu, frame: &FrameData) -> Result<Option<Vec<[u32; 2]>>, GpuError> {
-        if self.samples > 1 {
-            return Ok(None);
-        }
-        self.retarget(gpu, frame);
-        gpu.queue.write_buffer(&self.uniforms, 0, bytemuck::bytes_of(&frame.uniforms));
-        self.terrain.prepare(&gpu.queue, &frame.instances);
-        let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        let depth = |load, store| {
-            let ops = Some(wgpu::Operations { load, store });
-            let view = &self.targets.depth;
-            Some(wgpu::RenderPassDepthStencilAttachment { view, depth_ops: ops, stencil_ops: None })
-        };
-        {
-            let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
-                label: Some("land before ids"),
-                depth_stencil_attachment: depth(wgpu::LoadOp::Clear(0.0), wgpu::StoreOp::Store),
-                ..Default::default()
-            });
-            self.terrain.draw_depth(&gpu.device, &mut pass, &self.materials, &self.clipmap);
-        }
-        let ids = targets::id_buffer(&gpu.device, self.targets.size);
-        if let Some(vegetation) = self.vegetation.as_mut().filter(|_| frame.plants.is_some()) {
-            let view = ids.create_view(&wgpu::TextureViewDescriptor::default());
-            let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
-                label: Some("ids"),
-                color_attachments: &[Some(wgpu::RenderPassColorAttachment {
-                    view: &view,
-                    depth_slice: None,
-                    resolve_target: None,
-                    ops: wgpu::Operations {
-                        load: wgpu::LoadOp::Clear(wgpu::Color::TRANSPARENT),
-                        store: wgpu::StoreOp::Store,
-                    },
-                })],
-                depth_stencil_attachment: depth(wgpu::LoadOp::Load, wgpu::StoreOp::Discard),
-                ..Default::default()
-            });
-            vegetation.draw_ids(gpu, &mut pass);
-        }
-        gpu.queue.submit([encoder.finish()]);
-        let bytes = offscreen::read_texture(gpu, &ids, 8)?;
-        let word = |four: &[u8]| u32::from_le_bytes([four[0], four[1], four[2], four[3]]);
-        Ok(Some(bytes.chunks_exact(8).map(|pixel| [word(&pixel[..4]), word(&pixel[4..])]).collect()))
     }
 
     /// Records one frame into `encoder`, with the image in `output`.

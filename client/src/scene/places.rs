@@ -14,7 +14,7 @@ use terrain::constants::UNITS_PER_METRE;
 use terrain::lod::MAX_VIEW_DISTANCE_M;
 
 /// Samples of sea, 64 m apart, that end an island.
-const OPEN: u32 = 6;
+const OPEN_SEA_SAMPLES: u32 = 6;
 
 /// A place of the home island or above it. The keys 1 to 8 go to them in this order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -33,10 +33,10 @@ pub enum Place {
     NextIsland,
     /// The home island from 2 km above the sea
     #[value(name = "2km")]
-    High,
+    From2Km,
     /// The archipelago from 20 km above the sea
     #[value(name = "20km")]
-    Highest,
+    From20Km,
 }
 
 impl Place {
@@ -48,8 +48,8 @@ impl Place {
         Self::Forest,
         Self::Cliff,
         Self::NextIsland,
-        Self::High,
-        Self::Highest,
+        Self::From2Km,
+        Self::From20Km,
     ];
 
     /// Its name in the panel.
@@ -62,8 +62,8 @@ impl Place {
             Self::Forest => "forest",
             Self::Cliff => "cliff",
             Self::NextIsland => "next island",
-            Self::High => "2 km up",
-            Self::Highest => "20 km up",
+            Self::From2Km => "2 km up",
+            Self::From20Km => "20 km up",
         }
     }
 
@@ -71,8 +71,8 @@ impl Place {
     #[must_use]
     pub fn view_distance_m(self) -> u32 {
         match self {
-            Self::High => 20_000,
-            Self::Highest => MAX_VIEW_DISTANCE_M,
+            Self::From2Km => 20_000,
+            Self::From20Km => MAX_VIEW_DISTANCE_M,
             _ => 0,
         }
     }
@@ -84,7 +84,7 @@ pub struct PlaceFinder {
     land: Land,
     vertical_scale: f64,
     survey: Survey,
-    /// Best spot of the place that is searched, and the bands that were.
+    /// Best spot of the place that is searched, and the number of bands searched.
     best: Option<Scored>,
     bands: usize,
     found: Vec<Pose>,
@@ -127,8 +127,8 @@ impl PlaceFinder {
             Place::Cliff => (12.0, 3.0),
             Place::NextIsland => return Some(self.next_island()),
             // From the sunny side: the sun of the scene stands in the south-east.
-            Place::High => return Some(pose(DVec3::new(-1400.0, 2000.0, 4200.0), 18.0, -24.0)),
-            Place::Highest => {
+            Place::From2Km => return Some(pose(DVec3::new(-1400.0, 2000.0, 4200.0), 18.0, -24.0)),
+            Place::From20Km => {
                 return Some(pose(DVec3::new(-2000.0, MAX_EYE_HEIGHT_M, 16_000.0), 8.0, -50.0));
             }
         };
@@ -150,7 +150,7 @@ impl PlaceFinder {
             Place::Valley => self.survey.valley(rows),
             Place::Forest => self.survey.wood_edge(rows),
             Place::Cliff => self.survey.cliff(rows),
-            Place::NextIsland | Place::High | Place::Highest => None,
+            Place::NextIsland | Place::From2Km | Place::From20Km => None,
         }
     }
 
@@ -163,7 +163,7 @@ impl PlaceFinder {
             let at = middle + out * (64.0 * f64::from(step));
             let is_land = survey::outline_m(&self.land, at) > 0.0;
             (coast, sea) = if is_land { (at, 0) } else { (coast, sea + 1) };
-            if sea == OPEN && coast != middle {
+            if sea == OPEN_SEA_SAMPLES && coast != middle {
                 break;
             }
         }

@@ -5,9 +5,9 @@
 use crate::culling::cases::{Absent, Case, Site, seeded};
 use crate::culling::chunks::{ChunkVerdict, chunks_of};
 use crate::culling::clump_vertices::clump_vertices;
-use crate::culling::clumps::{LEAST_M, judged, level_of, sample};
+use crate::culling::clumps::{LEAST_M, exact_test, level_of, sample};
 use crate::culling::frames;
-use crate::culling::occlusion::{Counting, Score};
+use crate::culling::occlusion::{CountingSlots, Score};
 use crate::culling::reference::{VisibilityReference, eye_of};
 use crate::culling::scene::Scene;
 use crate::curve::{Curve, Sheet, numbered};
@@ -136,15 +136,15 @@ impl Test {
         self,
         surface: &Surface<'_, S>,
         noise: &impl Fn(i32, i32) -> i32,
-        stand: &SpeciesParams,
+        species: &SpeciesParams,
         clump: &Clump,
     ) -> bool {
-        let with = |step: f64| Culling { step: (step * FINE) as i32, ..stand.culling };
-        let tip = tip_occludee(&stand.culling, &stand.planting, clump);
+        let with = |step: f64| Culling { step: (step * FINE) as i32, ..species.culling };
+        let tip = tip_occludee(&species.culling, &species.planting, clump);
         match self {
             Self::Noise(step) => raymarch_occlusion(noise, &with(step), &tip, 0),
             Self::March(step) => raymarch_occlusion_by_vertices(surface, &with(step), &tip),
-            Self::Exact => judged(surface, stand, clump).is_occluded,
+            Self::Exact => exact_test(surface, species, clump).is_occluded,
         }
     }
 }
@@ -250,20 +250,20 @@ fn judge(scene: &Scene, tests: &[(String, Test)]) -> Vec<Outcome> {
     let square = &scene.plants.grid;
     let surface = Surface { slots: &slots, nodes: &square.nodes, chunks: &square.chunks };
     let noise = noise_of(&scene.world, square);
-    let counting = Counting { slots: &slots, reads: Cell::new(0) };
+    let counting = CountingSlots { slots: &slots, reads: Cell::new(0) };
     let counted = Surface { slots: &counting, nodes: &square.nodes, chunks: &square.chunks };
     let counted_noise = |x: i32, z: i32| {
         counting.reads.set(counting.reads.get() + 1);
         noise(x, z)
     };
     let mut outcomes = vec![Outcome::default(); tests.len()];
-    for stand in &scene.plants.species {
-        let clumps = sample(&surface, stand);
+    for species in &scene.plants.species {
+        let clumps = sample(&surface, species);
         let mut hint_m = 0.0;
         let seen: Vec<Option<bool>> = clumps
             .iter()
             .map(|clump| {
-                let vertices = clump_vertices(scene, &surface, stand, clump, level_of(stand, clump));
+                let vertices = clump_vertices(scene, &surface, species, clump, level_of(species, clump));
                 (vertices.height_m >= LEAST_M)
                     .then(|| reference.sees_any(eye_of(&scene.shot.pose), &vertices.points, &mut hint_m))
             })
@@ -271,17 +271,17 @@ fn judge(scene: &Scene, tests: &[(String, Test)]) -> Vec<Outcome> {
         for ((_, test), outcome) in tests.iter().zip(&mut outcomes) {
             let begun = Instant::now();
             let culled: Vec<bool> =
-                clumps.iter().map(|clump| test.culls(&surface, &noise, stand, clump)).collect();
+                clumps.iter().map(|clump| test.culls(&surface, &noise, species, clump)).collect();
             outcome.time += begun.elapsed();
             outcome.rays += clumps.len() as u64;
             for (seen, culled) in seen.iter().zip(culled) {
                 if let Some(is_seen) = seen {
-                    outcome.score.count(*is_seen, stand.culling.occlusion_enabled != 0 && culled);
+                    outcome.score.count(*is_seen, species.culling.occlusion_enabled != 0 && culled);
                 }
             }
             counting.reads.set(0);
             for clump in &clumps {
-                black_box(test.culls(&counted, &counted_noise, stand, clump));
+                black_box(test.culls(&counted, &counted_noise, species, clump));
             }
             outcome.reads += counting.reads.get();
         }
@@ -370,10 +370,10 @@ fn chunks(
     let slots = BySlot::new(&scene.world);
     let square = &scene.plants.grid;
     let surface = Surface { slots: &slots, nodes: &square.nodes, chunks: &square.chunks };
-    let of_stand = |stand| chunks_of(&scene, &reference, &surface, stand, 1);
+    let of_species = |species| chunks_of(&scene, &reference, &surface, species, 1);
     let tile = 128 * terrain::constants::UNITS_PER_METRE;
     let place = |at: [i32; 2]| [0, 1].map(|axis| square.corner[axis] + at[axis] * tile);
-    scene.plants.species.iter().flat_map(of_stand).map(|chunk| (place(chunk.at), chunk)).collect()
+    scene.plants.species.iter().flat_map(of_species).map(|chunk| (place(chunk.at), chunk)).collect()
 }
 
 /// Cost of the methods in the valley scene.

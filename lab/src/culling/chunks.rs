@@ -1,7 +1,7 @@
 //! Occlusion of chunks of 128 m: visible if any vertex of any clump in them is.
 
 use crate::culling::clump_vertices::clump_vertices;
-use crate::culling::clumps::{LEAST_M, is_judged, judged, level_of};
+use crate::culling::clumps::{LEAST_M, exact_test, is_tested, level_of};
 use crate::culling::reference::{VisibilityReference, eye_of};
 use crate::culling::scene::Scene;
 use crate::gpu_probes::cpu_cull::{blocks_of, clumps_of};
@@ -34,22 +34,23 @@ pub fn chunks_of<S: Slots>(
     scene: &Scene,
     reference: &VisibilityReference,
     surface: &Surface<'_, S>,
-    stand: &SpeciesParams,
+    species: &SpeciesParams,
     every: usize,
 ) -> Vec<ChunkVerdict> {
-    let (culling, planting, eye) = (&stand.culling, &stand.planting, eye_of(&scene.shot.pose));
+    let (culling, planting, eye) = (&species.culling, &species.planting, eye_of(&scene.shot.pose));
     let tile = |block: [i32; 2]| block.map(|at| (at << (planting.cell_bits + BLOCK_CELL_BITS)) >> TILE_BITS);
     let mut chunks: BTreeMap<[i32; 2], Vec<([i32; 2], BlockExtent)>> = BTreeMap::new();
-    for block in blocks_of(stand) {
+    for block in blocks_of(species) {
         let bits = planting.cell_bits + BLOCK_CELL_BITS;
         let extent = block_extent(surface, culling, planting, bits, block[0], block[1]);
         let Some(extent) = extent.filter(|block| may_be_in_view(culling, &block.extent)) else { continue };
         chunks.entry(tile(block)).or_default().push((block, extent));
     }
     let clumps = |block: [i32; 2]| {
-        clumps_of(surface, stand, block).filter(|clump| {
+        clumps_of(surface, species, block).filter(|clump| {
             let slope = || slope_at(surface, clump.x, clump.z);
-            is_judged(stand, clump) && may_be_in_view(culling, &extent_of(culling, planting, clump, slope()))
+            is_tested(species, clump)
+                && may_be_in_view(culling, &extent_of(culling, planting, clump, slope()))
         })
     };
     let is_tested = culling.occlusion_enabled != 0;
@@ -57,10 +58,10 @@ pub fn chunks_of<S: Slots>(
     for (at, blocks) in chunks.iter().step_by(every) {
         let (mut grows, mut hint_m) = (false, 0.0);
         let is_seen = blocks.iter().flat_map(|(block, _)| clumps(*block)).any(|clump| {
-            let vertices = clump_vertices(scene, surface, stand, &clump, level_of(stand, &clump));
-            let is_judged = vertices.height_m >= LEAST_M;
-            grows |= is_judged;
-            is_judged && reference.sees_any(eye, &vertices.points, &mut hint_m)
+            let vertices = clump_vertices(scene, surface, species, &clump, level_of(species, &clump));
+            let is_tested = vertices.height_m >= LEAST_M;
+            grows |= is_tested;
+            is_tested && reference.sees_any(eye, &vertices.points, &mut hint_m)
         });
         if !grows {
             continue;
@@ -74,7 +75,7 @@ pub fn chunks_of<S: Slots>(
             is_seen,
             has_clump: kept
                 .iter()
-                .any(|block| clumps(*block).any(|clump| !judged(surface, stand, &clump).is_occluded)),
+                .any(|block| clumps(*block).any(|clump| !exact_test(surface, species, &clump).is_occluded)),
             has_block: !kept.is_empty(),
             has_point: !is_tested
                 || !raymarch_occlusion_of_corners(surface, culling, TILE_BITS, at[0], at[1]),

@@ -30,11 +30,11 @@ pub struct ClumpVertices {
 pub fn clump_vertices<S: Slots>(
     scene: &Scene,
     surface: &Surface<'_, S>,
-    stand: &SpeciesParams,
+    species: &SpeciesParams,
     clump: &Clump,
     level: u32,
 ) -> ClumpVertices {
-    let field = &stand.field;
+    let field = &species.field;
     let normal = gradient_at(surface, clump.x, clump.z).map_or([0; 2], |[east, south]| {
         let [east, south] = [east, south].map(|rise| f64::from(rise) / 16_384.0);
         let length = (1.0 + east * east + south * south).sqrt();
@@ -57,13 +57,13 @@ pub fn clump_vertices<S: Slots>(
     let [width, height] = field_size_m(field, packed.width, packed.height);
     let size_m = [width * wide, height * tall];
     let wind = wind_push(field.wind, turns, scene.shot.time_s, packed.phase);
-    let offsets: Vec<[f32; 3]> = if stand.planting.kind == KIND_GRASS {
+    let offsets: Vec<[f32; 3]> = if species.planting.kind == KIND_GRASS {
         let own = grown_push(packed.hue, packed.phase);
         let push = add(add(own, wind), lean_push(field.lean, root_m, distance_m));
-        let stand = stem_pose(packed.normal, push);
+        let stem = stem_pose(packed.normal, push);
         let vertices = 0..GRASS_VERTICES[level as usize];
         let detail_m = distance_m * field.detail;
-        let vertex = |index| tuft_vertex(level, index, size_m, packed.phase, &stand, detail_m).offset_m;
+        let vertex = |index| tuft_vertex(level, index, size_m, packed.phase, &stem, detail_m).offset_m;
         vertices.map(vertex).collect()
     } else {
         let species = tree_species(&packed);

@@ -15,14 +15,14 @@ pub const SAMPLE: usize = 500;
 pub const LEAST_M: f64 = 0.1;
 
 /// The level of detail in which a clump is drawn.
-pub fn level_of(stand: &SpeciesParams, clump: &Clump) -> u32 {
-    let far = distance_squared(&stand.culling, clump.x, clump.y, clump.z);
-    u32::from(far > stand.planting.detail[0]) + u32::from(far > stand.planting.detail[1])
+pub fn level_of(species: &SpeciesParams, clump: &Clump) -> u32 {
+    let far = distance_squared(&species.culling, clump.x, clump.y, clump.z);
+    u32::from(far > species.planting.detail[0]) + u32::from(far > species.planting.detail[1])
 }
 
 /// Result of T3 for a clump.
 #[derive(Clone, Copy, Debug)]
-pub struct Judged {
+pub struct ExactTest {
     /// Bound of the clump.
     pub extent: Extent,
     /// Whether all of it is occluded.
@@ -30,28 +30,29 @@ pub struct Judged {
 }
 
 /// Applies T3 to a clump.
-pub fn judged<S: Slots>(surface: &Surface<'_, S>, stand: &SpeciesParams, clump: &Clump) -> Judged {
-    let culling = &stand.culling;
-    let extent = extent_of(culling, &stand.planting, clump, slope_at(surface, clump.x, clump.z));
+pub fn exact_test<S: Slots>(surface: &Surface<'_, S>, species: &SpeciesParams, clump: &Clump) -> ExactTest {
+    let culling = &species.culling;
+    let extent = extent_of(culling, &species.planting, clump, slope_at(surface, clump.x, clump.z));
     let is_occluded =
         culling.occlusion_enabled != 0 && is_occluded(surface, culling.eye, &extent.occludee, culling.start);
-    Judged { extent, is_occluded }
+    ExactTest { extent, is_occluded }
 }
 
 /// Clumps of a species inside the view, evenly from all of its blocks; at most [`SAMPLE`].
-pub fn sample<S: Slots>(surface: &Surface<'_, S>, stand: &SpeciesParams) -> Vec<Clump> {
-    let blocks: Vec<[i32; 2]> = stand.patches.iter().copied().flat_map(blocks_of_patch).collect();
+pub fn sample<S: Slots>(surface: &Surface<'_, S>, species: &SpeciesParams) -> Vec<Clump> {
+    let blocks: Vec<[i32; 2]> = species.patches.iter().copied().flat_map(blocks_of_patch).collect();
     let mut found = Vec::new();
     // A stride that shares no factor with the blocks of a patch or with the cells of a block.
     let stride = (blocks.len() / (30 * SAMPLE)).max(1) | 1;
     for (n, block) in blocks.iter().step_by(stride).enumerate() {
-        let lane = (n * 7) as u32 % (16 * stand.planting.per_cell);
+        let lane = (n * 7) as u32 % (16 * species.planting.per_cell);
         let (cell, index) = ((lane % 16) as i32, lane / 16);
         let (column, row) = (block[0] * 4 + cell % 4, block[1] * 4 + cell / 4);
-        let clump = clump_at(surface, &stand.planting, column, row, index);
-        let Some(clump) = clump.filter(|clump| is_judged(stand, clump)) else { continue };
-        let extent = extent_of(&stand.culling, &stand.planting, &clump, slope_at(surface, clump.x, clump.z));
-        if may_be_in_view(&stand.culling, &extent) {
+        let clump = clump_at(surface, &species.planting, column, row, index);
+        let Some(clump) = clump.filter(|clump| is_tested(species, clump)) else { continue };
+        let extent =
+            extent_of(&species.culling, &species.planting, &clump, slope_at(surface, clump.x, clump.z));
+        if may_be_in_view(&species.culling, &extent) {
             found.push(clump);
         }
     }
@@ -62,9 +63,9 @@ pub fn sample<S: Slots>(surface: &Surface<'_, S>, stand: &SpeciesParams) -> Vec<
 }
 
 /// Whether thinning keeps a clump.
-pub fn is_judged(stand: &SpeciesParams, clump: &Clump) -> bool {
-    let far = distance_squared(&stand.culling, clump.x, clump.y, clump.z);
-    is_within_draw_distance(&stand.planting, clump, far)
+pub fn is_tested(species: &SpeciesParams, clump: &Clump) -> bool {
+    let far = distance_squared(&species.culling, clump.x, clump.y, clump.z);
+    is_within_draw_distance(&species.planting, clump, far)
 }
 
 #[cfg(test)]
@@ -94,15 +95,16 @@ mod tests {
             let corner = square.corner.map(|units| f64::from(units) / 256.0);
             let metres = |fine: i32| f64::from(fine) / 4096.0;
             let rise = |share: i32| f64::from(share) / 16_384.0;
-            for stand in scene.plants.species.iter().filter(|stand| stand.planting.kind == KIND_GRASS) {
-                let (culling, planting) = (&stand.culling, &stand.planting);
+            for species in scene.plants.species.iter().filter(|species| species.planting.kind == KIND_GRASS) {
+                let (culling, planting) = (&species.culling, &species.planting);
                 let bits = planting.cell_bits + BLOCK_CELL_BITS - 1;
-                for clump in sample(&surface, stand) {
+                for clump in sample(&surface, species) {
                     let (column, row) = (clump.x >> bits, clump.z >> bits);
                     let part = block_extent(&surface, culling, planting, bits, column, row).unwrap();
                     let bound = sloped_occludee(&surface, planting, bits, column, row, &part);
                     sloped += u32::from(bound != part.extent.occludee);
-                    let vertices = clump_vertices(&scene, &surface, stand, &clump, level_of(stand, &clump));
+                    let vertices =
+                        clump_vertices(&scene, &surface, species, &clump, level_of(species, &clump));
                     for [x, y, z] in vertices.points {
                         let east = x - corner[0] - metres(bound.x);
                         let south = z - corner[1] - metres(bound.z);

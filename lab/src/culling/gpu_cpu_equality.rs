@@ -49,15 +49,17 @@ pub fn compare(land: &Land, cases: &[Case]) -> Result<GpuCpuEquality> {
         equality.far += u64::from(case.shot.pose.position_m.x > 5e5);
         scene.world.residents().for_each(|chunk| pool.upload(&gpu.queue, chunk));
         passes.prepare(&gpu.queue, &scene.plants.grid);
-        for (index, stand) in scene.plants.species.iter().enumerate() {
+        for (index, species) in scene.plants.species.iter().enumerate() {
             let chosen = if index == 0 { &grass } else { &trees };
             let found = choose(&gpu, &mut passes, &scene.plants, index, chosen)
                 .with_context(|| format!("choosing plants failed at pose {}", case.name))?;
-            let expected = words_of(&scene, stand);
+            let expected = words_of(&scene, species);
             equality.clumps += expected.len() as u64;
             equality.differing += differing(&found, &expected);
-            let frustum =
-                SpeciesParams { culling: Culling { path: CULL_FRUSTUM, ..stand.culling }, ..stand.clone() };
+            let frustum = SpeciesParams {
+                culling: Culling { path: CULL_FRUSTUM, ..species.culling },
+                ..species.clone()
+            };
             equality.differing_control += differing(&found, &words_of(&scene, &frustum));
         }
     }
@@ -82,8 +84,8 @@ fn choose(
 }
 
 /// Clumps that the twin keeps, in the order of the GPU: level of detail by level of detail.
-fn words_of(scene: &Scene, stand: &SpeciesParams) -> Vec<[u32; 4]> {
-    let mut kept: Vec<VisibleClump> = cull_on_cpu(&scene.world, &scene.plants, stand);
+fn words_of(scene: &Scene, species: &SpeciesParams) -> Vec<[u32; 4]> {
+    let mut kept: Vec<VisibleClump> = cull_on_cpu(&scene.world, &scene.plants, species);
     kept.sort_by_key(|kept| kept.detail);
     kept.iter()
         .map(|VisibleClump { clump, .. }| [clump.x as u32, clump.z as u32, clump.y as u32, clump.attributes])

@@ -53,7 +53,7 @@ pub struct VisiblePlants {
     pub lost_hierarchical: u64,
     pub drawn: u64,
     /// The first few false culls of T3 or T4, for messages.
-    pub culprits: Vec<String>,
+    pub violations: Vec<String>,
 }
 
 /// Kind and position of a plant.
@@ -97,11 +97,11 @@ fn measure_case(renderer: &mut HeadlessRenderer, scene: &Scene, visible: &mut Vi
     visible.drawn += all.len() as u64;
     for id in seen {
         let clump = all.get(&id).context("a plant is seen that was not drawn")?;
-        let stand = scene.plants.species.iter().find(|stand| stand.field.kind == id.0);
-        let stand = stand.context("a plant is seen of a kind that does not grow")?;
+        let species = scene.plants.species.iter().find(|species| species.field.kind == id.0);
+        let species = species.context("a plant is seen of a kind that does not grow")?;
         let is_lost = |path| {
-            let culling = Culling { path, ..stand.culling };
-            visible_level(&surface, &noise, &culling, &stand.planting, clump).is_none()
+            let culling = Culling { path, ..species.culling };
+            visible_level(&surface, &noise, &culling, &species.planting, clump).is_none()
         };
         visible.lost_frustum += u64::from(is_lost(CULL_FRUSTUM));
         visible.lost_noise += u64::from(is_lost(CULL_NOISE));
@@ -109,8 +109,8 @@ fn measure_case(renderer: &mut HeadlessRenderer, scene: &Scene, visible: &mut Vi
         let lost = (is_lost(CULL_EXACT), !chosen.contains_key(&id));
         visible.lost_exact += u64::from(lost.0);
         visible.lost_hierarchical += u64::from(lost.1);
-        if (lost.0 || lost.1) && visible.culprits.len() < 8 {
-            visible.culprits.push(format!("{}: {clump:?}", scene.name));
+        if (lost.0 || lost.1) && visible.violations.len() < 8 {
+            visible.violations.push(format!("{}: {clump:?}", scene.name));
         }
     }
     Ok(())

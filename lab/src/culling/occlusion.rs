@@ -4,7 +4,7 @@
 use crate::culling::cases::{Absent, Case};
 use crate::culling::chunks::chunks_of;
 use crate::culling::clump_vertices::clump_vertices;
-use crate::culling::clumps::{LEAST_M, judged, level_of, sample};
+use crate::culling::clumps::{LEAST_M, exact_test, level_of, sample};
 use crate::culling::reference::{Point, VisibilityReference, eye_of};
 use crate::culling::scene::Scene;
 use crate::gpu_probes::cpu_cull::noise_of;
@@ -135,7 +135,7 @@ pub struct Findings {
     #[serde(skip)]
     times: [Duration; 2],
     /// The first clumps that T4 culls although a point of their bound is visible, for messages.
-    pub culprits: Vec<String>,
+    pub violations: Vec<String>,
 }
 
 impl Findings {
@@ -157,8 +157,8 @@ impl Findings {
         self.root_mm = self.root_mm.max(other.root_mm);
         self.rays += other.rays;
         self.times = [self.times[0] + other.times[0], self.times[1] + other.times[1]];
-        self.culprits.extend(other.culprits);
-        self.culprits.truncate(8);
+        self.violations.extend(other.violations);
+        self.violations.truncate(8);
         self
     }
 }
@@ -182,12 +182,12 @@ pub fn score(land: &Land, cases: &[Case]) -> Findings {
 
 /// Counts reads.
 #[derive(Debug)]
-pub struct Counting<'a, S> {
+pub struct CountingSlots<'a, S> {
     pub slots: &'a S,
     pub reads: Cell<u64>,
 }
 
-impl<S: Slots> Slots for Counting<'_, S> {
+impl<S: Slots> Slots for CountingSlots<'_, S> {
     fn height(&self, slot: u32, index: u32) -> i32 {
         self.note();
         self.slots.height(slot, index)
@@ -254,29 +254,29 @@ fn of_scene(scene: &Scene, kinds: &[&'static str]) -> Findings {
     let noise = noise_of(&scene.world, square);
     let corner = square.corner.map(|units| f64::from(units) / 256.0);
     let eye = eye_of(&scene.shot.pose);
-    let is_untested = scene.plants.species.iter().any(|stand| stand.culling.occlusion_enabled == 0);
+    let is_untested = scene.plants.species.iter().any(|species| species.culling.occlusion_enabled == 0);
     found.below_land = is_untested.into();
-    for stand in &scene.plants.species {
-        let culling = &stand.culling;
+    for species in &scene.plants.species {
+        let culling = &species.culling;
         let fine = Culling { step: 2048, ..*culling };
-        let is_grass = stand.planting.kind == KIND_GRASS;
-        let sample = sample(&surface, stand);
+        let is_grass = species.planting.kind == KIND_GRASS;
+        let sample = sample(&surface, species);
         let mut hint_m = 0.0;
         for clump in &sample {
-            let vertices = clump_vertices(scene, &surface, stand, clump, level_of(stand, clump));
+            let vertices = clump_vertices(scene, &surface, species, clump, level_of(species, clump));
             if vertices.height_m < LEAST_M {
                 continue;
             }
-            let judged = judged(&surface, stand, clump);
+            let exact = exact_test(&surface, species, clump);
             let is_seen = reference.sees_any(eye, &vertices.points, &mut hint_m);
             let is_bound_seen =
-                is_seen || reference.sees_any(eye, &hull_of(corner, &judged.extent, eye), &mut hint_m);
+                is_seen || reference.sees_any(eye, &hull_of(corner, &exact.extent, eye), &mut hint_m);
             let at = [clump.x, clump.z].map(|fine| f64::from(fine) / 4096.0);
             if let Some(height) = reference.height(at[0] + corner[0], at[1] + corner[1]) {
                 found.root_mm = found.root_mm.max((height - f64::from(clump.y) / 4096.0).abs() * 1e3);
             }
-            let hierarchical = judged.is_occluded || block_of(&surface, stand, clump);
-            let tip = tip_occludee(culling, &stand.planting, clump);
+            let hierarchical = exact.is_occluded || is_block_culled(&surface, species, clump);
+            let tip = tip_occludee(culling, &species.planting, clump);
             let inexact = [
                 raymarch_occlusion(&noise, culling, &tip, 0),
                 raymarch_occlusion_by_vertices(&surface, culling, &tip),
@@ -287,18 +287,18 @@ fn of_scene(scene: &Scene, kinds: &[&'static str]) -> Findings {
             }
             clumps.hierarchical.count(is_seen, hierarchical);
             found.count("march_fine", is_seen, raymarch_occlusion_by_vertices(&surface, &fine, &tip));
-            found.count("exact", is_seen, judged.is_occluded);
+            found.count("exact", is_seen, exact.is_occluded);
             found.count("hierarchical", is_seen, hierarchical);
             found.count("bound", is_bound_seen, hierarchical);
             found.count(if is_grass { "grass" } else { "trees" }, is_seen, hierarchical);
             if is_bound_seen && hierarchical {
-                found.culprits.push(format!("{}: {clump:?}", scene.name));
+                found.violations.push(format!("{}: {clump:?}", scene.name));
             }
         }
-        count_cost(&mut found, &surface, stand, &sample, &fine);
+        count_cost(&mut found, &surface, species, &sample, &fine);
         let by =
             if is_grass { ["chunks", "chunks_by_blocks"] } else { ["tree_chunks", "tree_chunks_by_blocks"] };
-        for chunk in chunks_of(scene, &reference, &surface, stand, EVERY_CHUNK) {
+        for chunk in chunks_of(scene, &reference, &surface, species, EVERY_CHUNK) {
             let keeps = [chunk.has_clump, chunk.has_block, chunk.has_point];
             for (test, is_kept) in by.into_iter().chain(["five_points"]).zip(keeps) {
                 found.count(test, chunk.is_seen, !is_kept);
@@ -315,8 +315,8 @@ fn of_scene(scene: &Scene, kinds: &[&'static str]) -> Findings {
 }
 
 /// Whether T4 culls the block of a clump.
-fn block_of<S: Slots>(surface: &Surface<'_, S>, stand: &SpeciesParams, clump: &Clump) -> bool {
-    let (culling, planting) = (&stand.culling, &stand.planting);
+fn is_block_culled<S: Slots>(surface: &Surface<'_, S>, species: &SpeciesParams, clump: &Clump) -> bool {
+    let (culling, planting) = (&species.culling, &species.planting);
     let bits = planting.cell_bits + BLOCK_CELL_BITS;
     let (column, row) = (clump.x >> bits, clump.z >> bits);
     let block = block_extent(surface, culling, planting, bits, column, row);
@@ -328,15 +328,17 @@ fn block_of<S: Slots>(surface: &Surface<'_, S>, stand: &SpeciesParams, clump: &C
 fn count_cost<S: Slots>(
     found: &mut Findings,
     surface: &Surface<'_, S>,
-    stand: &SpeciesParams,
+    species: &SpeciesParams,
     sample: &[Clump],
     fine: &Culling,
 ) {
     let extents: Vec<Extent> = sample
         .iter()
-        .map(|clump| extent_of(&stand.culling, &stand.planting, clump, slope_at(surface, clump.x, clump.z)))
+        .map(|clump| {
+            extent_of(&species.culling, &species.planting, clump, slope_at(surface, clump.x, clump.z))
+        })
         .collect();
-    let counting = Counting { slots: surface.slots, reads: Cell::new(0) };
+    let counting = CountingSlots { slots: surface.slots, reads: Cell::new(0) };
     let counted = Surface { slots: &counting, nodes: surface.nodes, chunks: surface.chunks };
     for extent in &extents {
         let _ = is_occluded(&counted, fine.eye, &extent.occludee, fine.start);

@@ -11,14 +11,14 @@ const POSES: f64 = super::POSES as f64;
 /// and HD: Algorithms and Interfaces", 2012, on lightness).
 const LEAST_SEEN: f64 = 0.01;
 
-/// What bars of a software driver say where there is none.
+/// Why a figure of software drivers is missing on another driver.
 const NEEDS_SOFTWARE: &str = "needs a software driver";
 
 /// Every figure beside its bar.
 pub fn rows(visual: &Value) -> Vec<Bar> {
     let is_whole = at(visual, "poses") >= Some(POSES);
     let figure = |field: &str| at(visual, field).filter(|_| is_whole);
-    // Figures of few pictures are none.
+    // A figure from too few pictures is missing.
     let enough = |field: &str, least: f64, of: &str| figure(field).filter(|_| at(visual, of) >= Some(least));
     let shadow = |field: &str| enough(field, 20.0, "shadow/poses");
     let impostors = |field: &str| enough(field, 10.0, "impostors/poses");
@@ -186,8 +186,8 @@ const NOTES: [&str; 9] = [
      geometric mean over a third as many places. Octaves of wavelengths against a power that falls as \
      the frequency to the -2.4: twice the mean exponent of the amplitude of 135 photographs (Tolhurst, \
      Tadmor and Chao, 1992), of which single ones range from -1.6 to -3.0.",
-    "Lifted eyes: in the ground at steep places, lifted as the viewer does; 5 lenses from 30 to 170 \
-     degrees x vertical scales of 1, 1.8 and 4; land before magenta.",
+    "Near planes: eyes in the ground at steep places, raised as the viewer does; 5 fields of view from 30 to \
+     170 degrees x vertical scales of 1, 1.8 and 4; magenta background.",
     "Floors: share of the sun from pictures with and without objects, wrong if it differs by 0.25 from \
      that of 61 rays in f64 over the sun's disc, past the shapes without their reliefs; six poses of \
      320 x 180.",

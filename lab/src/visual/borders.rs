@@ -2,7 +2,7 @@
 //! over what they differ on both sides of the middle lines of chunks, which are no borders of
 //! anything and lie at the same distances.
 
-use super::views::{SIZE, Shot, Views, is_one_surface};
+use super::views::{DrawOptions, SIZE, Views, is_one_surface};
 use client::gpu::GpuError;
 use client::settings::{Normals, Show};
 use serde::Serialize;
@@ -10,20 +10,20 @@ use serde::Serialize;
 /// The share of pairs that may differ more than the figure.
 const TAIL: f64 = 0.001;
 
-/// The figure with both sources of normals.
+/// Contrast at borders by source of normals.
 #[derive(Clone, Debug, Serialize)]
 pub struct Borders {
     /// Normals of the land.
-    pub land: Jump,
+    pub land: BorderContrast,
     /// Normals of the drawn triangles.
-    pub mesh: Jump,
+    pub mesh: BorderContrast,
     /// Normals of the land, and one side of each border with more light: the control.
-    pub planted: Jump,
+    pub planted: BorderContrast,
 }
 
 /// Differences of neighbouring pixels: of the larger light less the smaller one over their sum.
 #[derive(Clone, Copy, Debug, Serialize)]
-pub struct Jump {
+pub struct BorderContrast {
     /// Pairs across borders.
     pub pairs: usize,
     /// One in a thousand pairs across a border differs more.
@@ -45,23 +45,24 @@ const PLANTED: [f64; 2] = [2.0, 0.02];
 
 /// Measures all poses.
 pub fn measure(views: &mut Views) -> Result<Borders, GpuError> {
-    let [land, tail, median] = jumps(views, Normals::Land, [0.0, PLANTED[0], PLANTED[1]])?;
-    let [mesh] = jumps(views, Normals::Mesh, [0.0])?;
-    let planted = Jump { median_ratio: median.median_ratio, median_excess: median.median_excess, ..tail };
+    let [land, tail, median] = contrasts(views, Normals::Land, [0.0, PLANTED[0], PLANTED[1]])?;
+    let [mesh] = contrasts(views, Normals::Mesh, [0.0])?;
+    let planted =
+        BorderContrast { median_ratio: median.median_ratio, median_excess: median.median_excess, ..tail };
     Ok(Borders { land, mesh, planted })
 }
 
 /// The jumps with each change of the light on one side of borders.
-fn jumps<const N: usize>(
+fn contrasts<const N: usize>(
     views: &mut Views,
     normals: Normals,
     planted: [f64; N],
-) -> Result<[Jump; N], GpuError> {
+) -> Result<[BorderContrast; N], GpuError> {
     let mut across = [const { Vec::new() }; N];
     let mut inside = Vec::new();
     for case in views.cases.clone() {
-        let chunks = views.light(&case, Shot { show: Show::Chunks, normals, ..Shot::IMAGE })?;
-        let light = views.light(&case, Shot { show: Show::Light, normals, ..Shot::IMAGE })?;
+        let chunks = views.light(&case, DrawOptions { show: Show::Chunks, normals, ..DrawOptions::IMAGE })?;
+        let light = views.light(&case, DrawOptions { show: Show::Light, normals, ..DrawOptions::IMAGE })?;
         for (here, next) in pairs() {
             let [far, near] = [here, next].map(|pixel| -chunks[pixel][3]);
             if !is_one_surface(far, near) {
@@ -82,7 +83,7 @@ fn jumps<const N: usize>(
     Ok(across.map(|mut across| {
         across.sort_unstable_by(f64::total_cmp);
         let [tails, medians] = [TAIL, 0.5].map(|share| [&across, &inside].map(|all| tail(all, share)));
-        Jump {
+        BorderContrast {
             pairs: across.len(),
             across: tails[0],
             inside: tails[1],

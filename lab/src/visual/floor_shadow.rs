@@ -14,6 +14,7 @@ use client::scene::objects::{self, Mode, Object, Shape};
 use client::settings::Show;
 use glam::{DQuat, DVec3};
 use half::f16;
+use rayon::prelude::*;
 use serde::Serialize;
 use shaders::layout::SUN_RADIUS;
 
@@ -56,6 +57,18 @@ pub struct FloorShadow {
     pub control: usize,
 }
 
+impl FloorShadow {
+    /// The sums of both.
+    const fn with(self, other: Self) -> Self {
+        Self {
+            pixels: self.pixels + other.pixels,
+            shaded: self.shaded + other.shaded,
+            wrong: self.wrong + other.wrong,
+            control: self.control + other.control,
+        }
+    }
+}
+
 /// Measures all poses.
 pub fn measure() -> Result<FloorShadow, GpuError> {
     let mut sum = FloorShadow::default();
@@ -86,19 +99,21 @@ fn add(renderer: &mut PomRenderer, scene: Scene, pose: Pose, sum: &mut FloorShad
     let dark = renderer.shown(&blocked, pose, pom, Show::Image)?;
     let [drawn, lit, dark] = [drawn, lit, dark].map(|light| luminances(&light));
     let height_m = floor.first().map_or(0.0, |floor| floor.position_m.y);
-    for (pixel, covered) in covered.0.iter().enumerate() {
-        let Some(at_m) = on_floor(&pose, pixel, height_m).filter(|_| !covered) else { continue };
+    let pixels = covered.0.par_iter().enumerate().filter(|(_, covered)| !**covered);
+    let found = pixels.filter_map(|(pixel, _)| {
+        let at_m = on_floor(&pose, pixel, height_m)?;
         let share = (drawn[pixel] - dark[pixel]) / (lit[pixel] - dark[pixel]);
-        if !share.is_finite() {
-            continue;
-        }
         let truth = sun_share(&others, at_m, &rays);
         let moved = sun_share(&others, at_m + CONTROL_M * DVec3::X, &rays);
-        sum.pixels += 1;
-        sum.shaded += usize::from(truth < 0.5);
-        sum.wrong += usize::from((share - truth).abs() > WRONG);
-        sum.control += usize::from((share - moved).abs() > WRONG);
-    }
+        share.is_finite().then(|| FloorShadow {
+            pixels: 1,
+            shaded: usize::from(truth < 0.5),
+            wrong: usize::from((share - truth).abs() > WRONG),
+            control: usize::from((share - moved).abs() > WRONG),
+        })
+    });
+    let found = found.reduce(FloorShadow::default, FloorShadow::with);
+    *sum = sum.with(found);
     Ok(())
 }
 
@@ -123,8 +138,8 @@ fn on_floor(pose: &Pose, pixel: usize, height_m: f64) -> Option<DVec3> {
     let (x, y) = (at(pixel % SIZE.0 as usize, SIZE.0), -at(pixel / SIZE.0 as usize, SIZE.1));
     let half = projection.half_height();
     let ray = pose.forward() + pose.right() * (x * half * projection.aspect()) + pose.up() * (y * half);
-    let way = (height_m - pose.position_m.y) / ray.y;
-    (way > 0.0 && way * ray.length() < FARTHEST_M).then(|| pose.position_m + ray * way)
+    let distance = (height_m - pose.position_m.y) / ray.y;
+    (distance > 0.0 && distance * ray.length() < FARTHEST_M).then(|| pose.position_m + ray * distance)
 }
 
 /// Unit vectors to places that are spread evenly over the sun's disc (H. Vogel, "A better way to
@@ -142,33 +157,35 @@ fn rays_to(sun: DVec3) -> Vec<DVec3> {
 
 /// Share of the sun that objects leave at a place: of the rays to it those that meet none of them.
 fn sun_share(objects: &[Object], at_m: DVec3, rays: &[DVec3]) -> f64 {
-    let is_open = |ray: &&DVec3| !objects.iter().any(|object| is_met(object, at_m, **ray));
+    let is_open = |ray: &&DVec3| !objects.iter().any(|object| intersects(object, at_m, **ray));
     rays.iter().filter(is_open).count() as f64 / rays.len() as f64
 }
 
 /// Whether a ray meets an object: a rectangle without thickness, a cube, or a cylinder with a ball
 /// at either end. A ray along a face divides by 0 and meets nothing.
-fn is_met(object: &Object, from_m: DVec3, ray: DVec3) -> bool {
+fn intersects(object: &Object, from_m: DVec3, ray: DVec3) -> bool {
     let turn: DQuat = object.turn.as_dquat().conjugate();
     let (from_m, ray) = (turn * (from_m - object.position_m), turn * ray);
     match object.shape {
         Shape::Plane { width_m, height_m } => {
-            let way = -from_m.z / ray.z;
-            let at_m = from_m + way * ray;
-            way > 0.0 && at_m.x.abs() < 0.5 * f64::from(width_m) && at_m.y.abs() < 0.5 * f64::from(height_m)
+            let distance = -from_m.z / ray.z;
+            let at_m = from_m + distance * ray;
+            distance > 0.0
+                && at_m.x.abs() < 0.5 * f64::from(width_m)
+                && at_m.y.abs() < 0.5 * f64::from(height_m)
         }
         Shape::Cube { half_m } => (0..3).any(|axis| {
             let half_m = f64::from(half_m);
             let others = [(axis + 1) % 3, (axis + 2) % 3];
             [-half_m, half_m].iter().any(|face_m| {
-                let way = (face_m - from_m[axis]) / ray[axis];
-                let at_m = from_m + way * ray;
-                way > 0.0 && others.iter().all(|other| at_m[*other].abs() < half_m)
+                let distance = (face_m - from_m[axis]) / ray[axis];
+                let at_m = from_m + distance * ray;
+                distance > 0.0 && others.iter().all(|other| at_m[*other].abs() < half_m)
             })
         }),
         Shape::Capsule { radius_m, half_length_m } => {
             let (radius_m, half_m) = (f64::from(radius_m), f64::from(half_length_m));
-            let is_ball_met = |end_m: f64| {
+            let meets_ball = |end_m: f64| {
                 let to_m = end_m * DVec3::Z - from_m;
                 let along = to_m.dot(ray);
                 along > 0.0 && to_m.length_squared() - along * along < radius_m * radius_m
@@ -177,11 +194,11 @@ fn is_met(object: &Object, from_m: DVec3, ray: DVec3) -> bool {
             let (square, middle) = (across.length_squared(), start_m.dot(across));
             // No number where the ray passes the cylinder.
             let root = (middle * middle - square * (start_m.length_squared() - radius_m * radius_m)).sqrt();
-            let is_side_met = [-root, root].iter().any(|root| {
-                let way = (root - middle) / square;
-                way > 0.0 && (from_m.z + way * ray.z).abs() < half_m
+            let meets_side = [-root, root].iter().any(|root| {
+                let distance = (root - middle) / square;
+                distance > 0.0 && (from_m.z + distance * ray.z).abs() < half_m
             });
-            is_side_met || is_ball_met(half_m) || is_ball_met(-half_m)
+            meets_side || meets_ball(half_m) || meets_ball(-half_m)
         }
     }
 }

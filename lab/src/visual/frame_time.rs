@@ -82,7 +82,7 @@ fn preset(quality: Quality) -> (Preset, RenderSettings) {
 }
 
 /// Settings of the viewer before: 8 km of land by the normals of its triangles, plants without
-/// shadows up to 1,500 m, no light between pixels.
+/// shadows up to 1,500 m, no bloom.
 fn earlier(grass: u32, trees: u32) -> (Preset, RenderSettings) {
     let preset = Preset { view_distance_m: 8_000, ..Preset::of(Quality::Medium, true) };
     let plants = VegetationSettings {

@@ -23,7 +23,7 @@ use terrain::{Land, Position};
 const SIZE: (u32, u32) = (640, 360);
 
 /// Trees count from the switch distance on up to so many times of it.
-const BAND: f64 = 1.4;
+const BAND_END_RATIO: f64 = 1.4;
 
 /// Pixels of such trees that a pose must have to count.
 const LEAST_PIXELS: usize = 300;
@@ -36,7 +36,7 @@ const SLOTS: u32 = 4_000;
 const STREAM: u32 = 59;
 
 /// Poses that are tried for one that counts.
-const TRIED: u32 = 12;
+const CANDIDATES_PER_POSE: u32 = 12;
 
 /// Trees alone.
 const TREES: VegetationSettings =
@@ -77,12 +77,14 @@ pub fn measure(land: &Land, poses: u32) -> Result<Impostors, GpuError> {
     let mut found = Impostors::default();
     let (mut light, mut light_of_geometry) = (0.0, 0.0);
     let mut covered = [0_usize; 2];
-    for pose in candidates(land, poses * TRIED) {
+    for pose in candidates(land, poses * CANDIDATES_PER_POSE) {
         if found.poses >= poses as usize {
             break;
         }
-        let at =
-            |pose, plants| ViewParams { settings: RenderSettings { plants, ..settings() }, ..shot(pose) };
+        let at = |pose, plants| ViewParams {
+            settings: RenderSettings { plants, ..settings() },
+            ..view_params(pose)
+        };
         let view = |plants| at(pose, plants);
         let (world, selection) = screen::selected(&mut builder, &view(TREES));
         builder.clear();
@@ -145,9 +147,9 @@ fn settings() -> RenderSettings {
     RenderSettings { sun: Some(MORNING), ..RenderSettings::default() }
 }
 
-fn shot(pose: Pose) -> ViewParams {
-    let shot = ViewCase { pose, tolerance_px: 2.0 }.shot_of(SIZE, settings());
-    ViewParams { view_distance_m: VIEW_DISTANCE_M, ..shot }
+fn view_params(pose: Pose) -> ViewParams {
+    let params = ViewCase { pose, tolerance_px: 2.0 }.shot_of(SIZE, settings());
+    ViewParams { view_distance_m: VIEW_DISTANCE_M, ..params }
 }
 
 /// Seeded eyes a little above the land.
@@ -207,7 +209,7 @@ fn band(renderer: &mut HeadlessRenderer, far: &FrameData, near: &FrameData) -> R
             (f64::from(place & 0xff_ffff) - f64::from(eye)) / f64::from(FINE_PER_METRE)
         };
         let away_m = away(east, trees.culling.eye[0]).hypot(away(south, trees.culling.eye[2]));
-        south != 0 && east >> 24 == KIND_TREES && (begin_m..BAND * begin_m).contains(&away_m)
+        south != 0 && east >> 24 == KIND_TREES && (begin_m..BAND_END_RATIO * begin_m).contains(&away_m)
     };
     let mut pixels = vec![false; (SIZE.0 * SIZE.1) as usize];
     for frame in [far, near] {

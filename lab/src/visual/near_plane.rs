@@ -13,6 +13,7 @@ use client::lod::{clearance, select};
 use client::scene::Scene;
 use client::settings::{Normals, RenderSettings, Show};
 use client::view::ViewParams;
+use rayon::prelude::*;
 use serde::Serialize;
 use terrain::constants::UNITS_PER_METRE;
 use terrain::{Chunk, ChunkKey, Land, Position, lod};
@@ -40,7 +41,7 @@ const SLOTS: u32 = 2_048;
 
 /// Counted pixels.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
-pub struct Lifted {
+pub struct NearPlaneClipping {
     /// Eyes.
     pub eyes: u32,
     /// Pictures: eyes x fields of view x scales.
@@ -55,9 +56,9 @@ pub struct Lifted {
 }
 
 /// Measures so many eyes.
-pub fn measure(land: &Land, eyes: u32) -> Result<Lifted, GpuError> {
+pub fn measure(land: &Land, eyes: u32) -> Result<NearPlaneClipping, GpuError> {
     let mut renderer = HeadlessRenderer::open(FIELDS_OF_VIEW[0].1, SLOTS)?;
-    let mut found = Lifted { eyes, ..Lifted::default() };
+    let mut found = NearPlaneClipping { eyes, ..NearPlaneClipping::default() };
     let places: Vec<(i32, i32)> =
         sample::land_points(land.world_seed(), eyes * CANDIDATES_PER_EYE, RANDOM_STREAM).collect();
     for (index, choice) in places.chunks_exact(CANDIDATES_PER_EYE as usize).enumerate() {
@@ -97,7 +98,7 @@ fn measure_eye(
     generated: &mut BTreeMap<ChunkKey, Chunk>,
     eye: Pose,
     scale: f64,
-    found: &mut Lifted,
+    found: &mut NearPlaneClipping,
 ) -> Result<(), GpuError> {
     let view = |pose, fov_deg, (width, height)| ViewParams {
         pose,
@@ -116,9 +117,12 @@ fn measure_eye(
     let mut world = ChunkCache::new(renderer.slots());
     world.set_vertical_scale((scale * 256.0) as i32);
     let served = vertical_scale::served(&viewer, world.vertical_scale());
-    for needed in lod::select(land, &served, usize::MAX) {
-        let chunk = generated.entry(needed.key).or_insert_with(|| land.chunk(needed.key));
-        world.insert(chunk.clone());
+    let needed: Vec<ChunkKey> =
+        lod::select(land, &served, usize::MAX).into_iter().map(|needed| needed.key).collect();
+    let missing: Vec<ChunkKey> = needed.iter().copied().filter(|key| !generated.contains_key(key)).collect();
+    generated.par_extend(missing.into_par_iter().map(|key| (key, land.chunk(key))));
+    for key in needed {
+        world.insert(generated[&key].clone());
     }
     let selection = select(&mut world, &viewer);
     renderer.upload_world(&world);
@@ -128,11 +132,11 @@ fn measure_eye(
     for (fov_deg, size) in FIELDS_OF_VIEW {
         let mut magenta = [0; 2];
         for (pose, magenta) in [before, after].into_iter().zip(&mut magenta) {
-            let shot = view(pose, fov_deg, size);
-            let mut frame = shot.frame(Scene::Island, &world, &selection);
+            let params = view(pose, fov_deg, size);
+            let mut frame = params.frame(Scene::Island, &world, &selection);
             frame.background = Background::Plain([1.0, 0.0, 1.0]);
             let picture = renderer.picture_of(&frame, size)?;
-            let (pixels, cut) = count_gap_pixels(&shot, &picture, scale * LOWEST_M);
+            let (pixels, cut) = count_gap_pixels(&params, &picture, scale * LOWEST_M);
             *magenta = cut;
             found.pixels += pixels;
         }

@@ -6,7 +6,7 @@
 //! if its ground is turned to the sun at least as far as level ground. Ground that is turned away
 //! has little sunlight to lose, with shadow or without.
 
-use super::views::{Shot, Views};
+use super::views::{DrawOptions, Views};
 use client::gpu::GpuError;
 use client::lighting::SunLight;
 use client::settings::{RenderSettings, Shadows, Show, SunPosition};
@@ -47,15 +47,16 @@ pub fn measure(views: &mut Views) -> Result<Shadow, GpuError> {
     let (mut noon_pixels, mut black_at_noon) = (0, 0);
     let to_sun = direction(LOW);
     for case in views.cases.clone() {
-        let ground = views.light(&case, Shot { show: Show::Normals, ..Shot::IMAGE })?;
+        let ground = views.light(&case, DrawOptions { show: Show::Normals, ..DrawOptions::IMAGE })?;
         let is_ground = |pixel: usize| ground[pixel][3] < 0.0;
-        let shot = Shot { sun: LOW, ..Shot::IMAGE };
+        let options = DrawOptions { sun: LOW, ..DrawOptions::IMAGE };
         // Hard shadows take all sunlight where the middle of the sun is hidden, and none elsewhere.
-        let hard = views.light(&case, Shot { show: Show::Light, shadows: Shadows::Hard, ..shot })?;
-        let open = views.light(&case, Shot { show: Show::Light, shadows: Shadows::Off, ..shot })?;
+        let hard =
+            views.light(&case, DrawOptions { show: Show::Light, shadows: Shadows::Hard, ..options })?;
+        let open = views.light(&case, DrawOptions { show: Show::Light, shadows: Shadows::Off, ..options })?;
         let is_hidden = |pixel: usize| hard[pixel][1] < open[pixel][1];
-        let with = views.image(&case, shot)?;
-        let without = views.image(&case, Shot { shadows: Shadows::Off, ..shot })?;
+        let with = views.image(&case, options)?;
+        let without = views.image(&case, DrawOptions { shadows: Shadows::Off, ..options })?;
         let pixels = with.rgba.chunks_exact(4).zip(without.rgba.chunks_exact(4)).enumerate();
         let (mut dark, mut lit, mut count) = (0.0, 0.0, 0);
         for (pixel, (with, without)) in pixels {
@@ -68,7 +69,7 @@ pub fn measure(views: &mut Views) -> Result<Shadow, GpuError> {
         if count >= LEAST_PIXELS {
             shares.push(dark / lit);
         }
-        let noon = views.image(&case, Shot { sun: HIGH, ..Shot::IMAGE })?;
+        let noon = views.image(&case, DrawOptions { sun: HIGH, ..DrawOptions::IMAGE })?;
         for (_, rgba) in noon.rgba.chunks_exact(4).enumerate().filter(|(pixel, _)| is_ground(*pixel)) {
             noon_pixels += 1;
             black_at_noon += usize::from(rgba[..3].iter().all(|channel| *channel < BLACK));

@@ -4,7 +4,7 @@
 //! exponent over 135 of them is -1.2, single ones range from -0.8 to -1.5 (Tolhurst, Tadmor and
 //! Chao, "Amplitude spectra of natural images", Ophthalmic and Physiological Optics 12(2), 1992).
 
-use super::views::{SIZE, Shot, Views};
+use super::views::{DrawOptions, SIZE, Views};
 use crate::lod::screen::ViewCase;
 use crate::sample::{self, unit, word};
 use client::camera::Pose;
@@ -32,7 +32,7 @@ const BLUR: usize = 5;
 
 /// Stream of the places, and places that are tried for one on land.
 const STREAM: u32 = 61;
-const TRIED: u32 = 8;
+const CANDIDATES_PER_PLACE: u32 = 8;
 
 /// A spectrum against that of photographs.
 #[derive(Clone, Copy, Debug, Serialize)]
@@ -69,7 +69,7 @@ pub fn measure(views: &mut Views, land: &Land, count: u32) -> Result<Spectrum, G
         for (height_m, mean) in HEIGHTS_M.iter().zip(&mut means) {
             let position_m = [*east_m, ground_m + height_m, *south_m].into();
             let pose = Pose { position_m, yaw_deg: 0.0, pitch_deg: -90.0 }.clamped();
-            let light = views.light(&ViewCase { pose, tolerance_px: 2.0 }, Shot::IMAGE)?;
+            let light = views.light(&ViewCase { pose, tolerance_px: 2.0 }, DrawOptions::IMAGE)?;
             let luminance = middle_of(&light);
             add(mean, octaves(&luminance), places.len());
             if *height_m == HEIGHTS_M[1] {
@@ -85,7 +85,7 @@ pub fn measure(views: &mut Views, land: &Land, count: u32) -> Result<Spectrum, G
 /// Seeded places on dry land: east, height of the ground and south, metres.
 fn places(land: &Land, count: u32) -> Vec<(f64, f64, f64)> {
     let metres = |units: i32| f64::from(units) / f64::from(UNITS_PER_METRE);
-    sample::land_points(land.world_seed(), TRIED * count, STREAM)
+    sample::land_points(land.world_seed(), CANDIDATES_PER_PLACE * count, STREAM)
         .filter_map(|(x, z)| {
             let ground_m = metres(land.height_at(Position::new(x, z).ok()?));
             (ground_m > 5.0).then_some((metres(x), ground_m, metres(z)))
@@ -109,7 +109,7 @@ fn middle_of(light: &[[f32; 4]]) -> Vec<f64> {
 /// Logarithms to base 2 of the mean power in octaves of wavelengths: 2 to 4 pixels, then longer
 /// ones. `values` are a square of [`SIDE`], row by row.
 fn octaves(values: &[f64]) -> [f64; OCTAVES] {
-    // A window without which the borders, which do not meet, would add a cross (Hann).
+    // Hann window, against leakage at the borders.
     let window = |at: usize| 0.5 - 0.5 * (TAU * (at as f64 + 0.5) / SIDE as f64).cos();
     let mean = values.iter().sum::<f64>() / values.len() as f64;
     let field: Vec<[f64; 2]> = values
@@ -117,7 +117,7 @@ fn octaves(values: &[f64]) -> [f64; OCTAVES] {
         .enumerate()
         .map(|(pixel, value)| [(value - mean) * window(pixel / SIDE) * window(pixel % SIDE), 0.0])
         .collect();
-    let field = transformed(&transformed(&field, 1.0), 1.0);
+    let field = dft_rows(&dft_rows(&field, 1.0), 1.0);
     let mut sums = [(0.0, 0_usize); OCTAVES];
     for (pixel, value) in field.iter().enumerate() {
         let frequency = [pixel / SIDE, pixel % SIDE].map(|at| at.min(SIDE - at) as f64);
@@ -131,20 +131,20 @@ fn octaves(values: &[f64]) -> [f64; OCTAVES] {
 }
 
 /// Discrete Fourier transform of the rows of a square of complex numbers, transposed: two of them
-/// transform the square. By its definition: the squares are small and few. `way`: 1 forward, -1
-/// back.
-fn transformed(field: &[[f64; 2]], way: f64) -> Vec<[f64; 2]> {
-    let turns: Vec<[f64; 2]> = (0..SIDE)
-        .map(|at| (way * TAU * at as f64 / SIDE as f64).sin_cos())
+/// transform the square. By its definition: the squares are small and few. `direction`: 1 forward,
+/// -1 back.
+fn dft_rows(field: &[[f64; 2]], direction: f64) -> Vec<[f64; 2]> {
+    let twiddles: Vec<[f64; 2]> = (0..SIDE)
+        .map(|at| (direction * TAU * at as f64 / SIDE as f64).sin_cos())
         .map(|(sine, cosine)| [cosine, -sine])
         .collect();
     (0..SIDE)
         .into_par_iter()
         .flat_map_iter(|frequency| {
-            let turns = &turns;
+            let twiddles = &twiddles;
             field.chunks_exact(SIDE).map(move |row| {
                 row.iter().enumerate().fold([0.0, 0.0], |[real, imaginary], (at, [a, b])| {
-                    let [c, d] = turns[frequency * at % SIDE];
+                    let [c, d] = twiddles[frequency * at % SIDE];
                     [real + a * c - b * d, imaginary + a * d + b * c]
                 })
             })
@@ -163,9 +163,10 @@ fn fit(octaves: [f64; OCTAVES]) -> Fit {
     let steps = octaves.iter().enumerate().map(|(octave, power)| (middle - octave as f64, *power));
     let (rise, run) =
         steps.clone().fold((0.0, 0.0), |(rise, run), (at, power)| (rise + at * power, run + at * at));
-    let rests: Vec<f64> = steps.map(|(at, power)| power - EXPONENT * at).collect();
-    let (least, most) =
-        rests.iter().fold((f64::MAX, f64::MIN), |(least, most), rest| (least.min(*rest), most.max(*rest)));
+    let residuals: Vec<f64> = steps.map(|(at, power)| power - EXPONENT * at).collect();
+    let (least, most) = residuals
+        .iter()
+        .fold((f64::MAX, f64::MIN), |(least, most), residual| (least.min(*residual), most.max(*residual)));
     Fit { exponent: rise / run, factor: (0.5 * (most - least)).exp2() }
 }
 
@@ -195,13 +196,13 @@ mod tests {
     /// A field whose power falls with an exponent: noise, filtered by its transform.
     fn fractal(exponent: f64) -> Vec<f64> {
         let field: Vec<[f64; 2]> = white().into_iter().map(|value| [value - 0.5, 0.0]).collect();
-        let mut field = transformed(&transformed(&field, 1.0), 1.0);
+        let mut field = dft_rows(&dft_rows(&field, 1.0), 1.0);
         for (pixel, value) in field.iter_mut().enumerate() {
             let frequency = [pixel / SIDE, pixel % SIDE].map(|at| at.min(SIDE - at) as f64);
             let gain = frequency[0].hypot(frequency[1]).max(1.0).powf(0.5 * exponent);
             *value = value.map(|part| part * gain);
         }
-        transformed(&transformed(&field, -1.0), -1.0).into_iter().map(|[real, _]| real).collect()
+        dft_rows(&dft_rows(&field, -1.0), -1.0).into_iter().map(|[real, _]| real).collect()
     }
 
     #[test]

@@ -1,9 +1,10 @@
 //! How much shading changes when the tolerance grows: mean FLIP of the ground between pictures of
 //! 0.5 and 4 px.
 
-use super::views::{SIZE, Shot, Views, is_one_surface};
+use super::views::{DrawOptions, SIZE, Views, is_one_surface};
 use crate::flip::{self, PIXELS_PER_DEGREE};
-use client::gpu::GpuError;
+use crate::lod::screen::ViewCase;
+use client::gpu::{GpuError, Image};
 use client::settings::{Normals, Show};
 use serde::Serialize;
 
@@ -34,40 +35,75 @@ pub struct Tolerance {
 
 /// Measures all poses.
 pub fn measure(views: &mut Views) -> Result<Tolerance, GpuError> {
-    let shot = |normals, show| Shot { normals, show, ..Shot::IMAGE };
-    let (land, still) = change(views, shot(Normals::Land, Show::Image))?;
-    let (mesh, mesh_still) = change(views, shot(Normals::Mesh, Show::Image))?;
-    let (land_light, _) = change(views, shot(Normals::Land, Show::Light))?;
-    let (mesh_light, _) = change(views, shot(Normals::Mesh, Show::Light))?;
+    let mut changes = [Change::default(); KINDS.len()];
+    for case in views.cases.clone() {
+        let [fine, coarse] = TOLERANCES_PX.map(|tolerance_px| Taken::new(views, &case, tolerance_px));
+        let (fine, coarse) = (fine?, coarse?);
+        for ((change, fine_picture), coarse_picture) in
+            changes.iter_mut().zip(&fine.pictures).zip(&coarse.pictures)
+        {
+            let map = flip::map(fine_picture, coarse_picture, PIXELS_PER_DEGREE);
+            change.add(&map, &fine.ground, &coarse.ground);
+        }
+    }
+    let [land, mesh, land_light, mesh_light] = changes.map(|change| mean(change.all));
+    let [still, mesh_still, ..] = changes.map(|change| mean(change.still));
     Ok(Tolerance { land, mesh, land_light, mesh_light, still, mesh_still })
 }
 
-/// Mean FLIP of the ground, and of the part of it that stays in place.
-fn change(views: &mut Views, shot: Shot) -> Result<(f64, f64), GpuError> {
-    let (mut all, mut still) = ((0.0, 0_usize), (0.0, 0_usize));
-    for case in views.cases.clone() {
-        let shots = TOLERANCES_PX.map(|tolerance_px| Shot { tolerance_px, ..shot });
-        // Pixels whose surface stays: outlines change with the triangles, not with the shading.
-        let mut grounds = Vec::new();
-        let mut pictures = Vec::new();
-        for shot in shots {
-            grounds.push(views.light(&case, Shot { show: Show::Chunks, ..shot })?);
-            pictures.push(views.image(&case, shot)?);
-        }
-        let map = flip::map(&pictures[0], &pictures[1], PIXELS_PER_DEGREE);
-        for (pixel, flip) in map.into_iter().enumerate() {
-            let [fine, coarse] = [0, 1].map(|index: usize| -grounds[index][pixel][3]);
-            if !is_one_surface(fine, coarse) {
+/// The pictures that are compared: normals and the view.
+const KINDS: [(Normals, Show); 4] = [
+    (Normals::Land, Show::Image),
+    (Normals::Mesh, Show::Image),
+    (Normals::Land, Show::Light),
+    (Normals::Mesh, Show::Light),
+];
+
+/// A pose with one tolerance.
+struct Taken {
+    /// The fourth channel is minus the distance of land.
+    ground: Vec<[f32; 4]>,
+    /// As [`KINDS`].
+    pictures: Vec<Image>,
+}
+
+impl Taken {
+    fn new(views: &mut Views, case: &ViewCase, tolerance_px: f64) -> Result<Self, GpuError> {
+        let options = DrawOptions { tolerance_px, ..DrawOptions::IMAGE };
+        let ground = views.light(case, DrawOptions { show: Show::Chunks, ..options })?;
+        let picture = |(normals, show)| views.image(case, DrawOptions { normals, show, ..options });
+        Ok(Self { ground, pictures: KINDS.into_iter().map(picture).collect::<Result<_, _>>()? })
+    }
+}
+
+/// Sum and number of pixels of FLIP.
+type Sum = (f64, usize);
+
+/// FLIP of the ground, and of the part of it that stays in place.
+#[derive(Clone, Copy, Default)]
+struct Change {
+    all: Sum,
+    still: Sum,
+}
+
+impl Change {
+    fn add(&mut self, map: &[f64], fine: &[[f32; 4]], coarse: &[[f32; 4]]) {
+        for (pixel, flip) in map.iter().enumerate() {
+            let [fine_m, coarse_m] = [fine, coarse].map(|ground| -ground[pixel][3]);
+            // Outlines change with the triangles, not with the shading.
+            if !is_one_surface(fine_m, coarse_m) {
                 continue;
             }
-            all = (all.0 + flip, all.1 + 1);
+            self.all = (self.all.0 + flip, self.all.1 + 1);
             // A row below is a pixel away.
-            let below = grounds[0].get(pixel + SIZE.0 as usize).map_or(0.0, |ground| -ground[3]);
-            if below > 0.0 && (fine - coarse).abs() < STILL * (fine - below).abs() {
-                still = (still.0 + flip, still.1 + 1);
+            let below_m = fine.get(pixel + SIZE.0 as usize).map_or(0.0, |ground| -ground[3]);
+            if below_m > 0.0 && (fine_m - coarse_m).abs() < STILL * (fine_m - below_m).abs() {
+                self.still = (self.still.0 + flip, self.still.1 + 1);
             }
         }
     }
-    let mean = |(sum, pixels): (f64, usize)| sum / pixels as f64;
-    Ok((mean(all), mean(still)))
+}
+
+fn mean((sum, pixels): Sum) -> f64 {
+    sum / pixels as f64
 }

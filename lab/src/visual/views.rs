@@ -3,8 +3,10 @@
 use crate::headless_renderer::HeadlessRenderer;
 use crate::lod::screen::{self, ViewCase};
 use crate::world_builder::WorldBuilder;
+use client::cache::ChunkCache;
 use client::frame::{Background, FrameData};
 use client::gpu::{GpuError, Image};
+use client::lod::Selection;
 use client::scene::Scene;
 use client::settings::{Normals, RenderSettings, Show, SunPosition};
 use terrain::Land;
@@ -33,7 +35,7 @@ pub fn is_one_surface(one_m: f32, other_m: f32) -> bool {
 
 /// Features to draw at a pose.
 #[derive(Clone, Copy, Debug)]
-pub struct Shot {
+pub struct DrawOptions {
     /// Debug view.
     pub show: Show,
     /// Source of the shading normals.
@@ -46,7 +48,7 @@ pub struct Shot {
     pub shadows: client::settings::Shadows,
 }
 
-impl Shot {
+impl DrawOptions {
     /// The lit picture.
     pub const IMAGE: Self = Self {
         show: Show::Image,
@@ -61,10 +63,11 @@ impl Shot {
 pub struct Views {
     renderer: HeadlessRenderer,
     builder: WorldBuilder,
+    uploaded: Option<Uploaded>,
     /// The poses.
     pub cases: Vec<ViewCase>,
     /// Pixels whose light was no finite number, of all [`Views::light`].
-    pub unlit: u64,
+    pub non_finite_pixels: u64,
 }
 
 impl Views {
@@ -72,7 +75,7 @@ impl Views {
     pub fn open(land: Land, poses: u32) -> Result<Self, GpuError> {
         let renderer = HeadlessRenderer::open(SIZE, SLOTS)?;
         let cases = screen::view_cases(&land, poses, STREAM);
-        Ok(Self { renderer, builder: WorldBuilder::new(land), cases, unlit: 0 })
+        Ok(Self { renderer, builder: WorldBuilder::new(land), uploaded: None, cases, non_finite_pixels: 0 })
     }
 
     /// Name of the adapter.
@@ -81,30 +84,49 @@ impl Views {
     }
 
     /// A picture.
-    pub fn image(&mut self, case: &ViewCase, shot: Shot) -> Result<Image, GpuError> {
-        let frame = self.frame(case, shot);
+    pub fn image(&mut self, case: &ViewCase, options: DrawOptions) -> Result<Image, GpuError> {
+        let frame = self.frame(case, options);
         self.renderer.picture(&frame)
     }
 
     /// Linear light, four channels a pixel. In debug views the fourth is minus the distance in
     /// metres where land is drawn, and positive elsewhere.
-    pub fn light(&mut self, case: &ViewCase, shot: Shot) -> Result<Vec<[f32; 4]>, GpuError> {
-        let frame = self.frame(case, shot);
+    pub fn light(&mut self, case: &ViewCase, options: DrawOptions) -> Result<Vec<[f32; 4]>, GpuError> {
+        let frame = self.frame(case, options);
         let light = self.renderer.linear_light(&frame)?;
-        let is_unlit = |pixel: &&[f32; 4]| pixel[..3].iter().any(|channel| !channel.is_finite());
-        self.unlit += light.iter().filter(is_unlit).count() as u64;
+        let is_non_finite = |pixel: &&[f32; 4]| pixel[..3].iter().any(|channel| !channel.is_finite());
+        self.non_finite_pixels += light.iter().filter(is_non_finite).count() as u64;
         Ok(light)
     }
 
-    fn frame(&mut self, case: &ViewCase, shot: Shot) -> FrameData {
-        let Shot { show, normals, tolerance_px, sun, shadows } = shot;
+    fn frame(&mut self, case: &ViewCase, options: DrawOptions) -> FrameData {
+        let DrawOptions { show, normals, tolerance_px, sun, shadows } = options;
         let settings = RenderSettings { show, normals, sun: Some(sun), shadows, ..RenderSettings::default() };
-        let view = ViewCase { tolerance_px, ..*case }.shot_of(SIZE, settings);
-        let (world, selection) = screen::selected(&mut self.builder, &view);
-        self.builder.clear();
-        self.renderer.upload_world(&world);
-        let mut frame = view.frame(Scene::Island, &world, &selection);
+        let case = ViewCase { tolerance_px, ..*case };
+        let view = case.shot_of(SIZE, settings);
+        let uploaded = match self.uploaded.take() {
+            // World and selection depend on pose and tolerance alone.
+            Some(uploaded) if uploaded.case == case => uploaded,
+            other => {
+                // Chunks of a pose serve all its tolerances.
+                if other.is_none_or(|other| other.case.pose != case.pose) {
+                    self.builder.clear();
+                }
+                let (world, selection) = screen::selected(&mut self.builder, &view);
+                self.renderer.upload_world(&world);
+                Uploaded { case, world, selection }
+            }
+        };
+        let mut frame = view.frame(Scene::Island, &uploaded.world, &uploaded.selection);
         frame.background = Background::Sky;
+        self.uploaded = Some(uploaded);
         frame
     }
+}
+
+/// The world that the renderer has.
+struct Uploaded {
+    case: ViewCase,
+    world: ChunkCache,
+    selection: Selection,
 }

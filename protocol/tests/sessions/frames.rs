@@ -5,7 +5,9 @@ use proptest::prelude::*;
 use protocol::client::ClientSession;
 use protocol::message::{ClientMessage, Hello, WireKey};
 use protocol::server::ServerSession;
-use protocol::{ControlError, DataFrame, Delivery, Tolerance, control, limits};
+use protocol::{
+    ControlError, DataFrame, Delivery, PROTOCOL_VERSION, Tolerance, chunk_codec, control, limits,
+};
 
 #[test]
 fn truncated_and_overlong_control_frames_are_rejected() {
@@ -88,14 +90,16 @@ proptest! {
         framing in 0usize..4,
     ) {
         // Bare, as a control frame, as each kind of chunk frame.
-        let start = [&b""[..], b"TMBM\x03\x00", b"TMBC\x01\x00\x00", b"TMBC\x01\x00\x01"][framing];
+        let control = [&control::MAGIC[..], &PROTOCOL_VERSION.to_le_bytes()].concat();
+        let chunk = |kind| [&chunk_codec::MAGIC[..], &chunk_codec::VERSION.to_le_bytes(), &[kind]].concat();
+        let start = &[vec![], control, chunk(0), chunk(1)][framing];
         for config in [config(4), seed_only(4)] {
             let mut server = ServerSession::new(offer(), 1);
             let mut client = ClientSession::new(config);
             server.receive(DataFrame::Binary(&client.poll_transmit().unwrap())).unwrap();
             client.receive(DataFrame::Binary(&server.poll_transmit().unwrap())).unwrap();
             for frame in &frames {
-                let frame = [start, frame].concat();
+                let frame = [&start[..], frame].concat();
                 let _ = server.receive(DataFrame::Binary(&frame));
                 let _ = client.receive(DataFrame::Binary(&frame));
                 select_views(&mut server);

@@ -345,7 +345,9 @@ impl Drop for Flow {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::generation::test_source::{chunk_request, fixture, fixture_with_deadline, key, request};
+    use crate::generation::test_source::{
+        chunk_request, fixture, fixture_with_deadline, flat_frame_bytes, key, request,
+    };
     use crate::limits::rate_limit::RateLimiter;
     use protocol::delivery::Tolerance;
     use std::net::IpAddr;
@@ -573,6 +575,24 @@ mod tests {
         flow.completions().await;
         let charged_us = -bucket.tokens();
         assert!(charged_us >= took.as_micros() as f64 && charged_us > -2.0 * expected, "{charged_us}");
+    }
+
+    #[tokio::test]
+    async fn a_frame_from_the_cache_is_charged_by_its_bytes() {
+        let fixture = fixture(1 << 20, 100);
+        fixture.permit.send(()).unwrap();
+        request(&fixture.service, key(0), 1).await.await.unwrap().unwrap();
+        // It never refills.
+        let bucket = RateLimiter::new(Some(0)).bucket(Some("10.0.0.1".parse().unwrap()));
+        let mut flow = fixture.service.session(None, bucket.clone());
+        let of_frame = flat_frame_bytes() as f64 / 1024.0;
+        flow.request(chunk_request(key(0), 1), Delivery::Exact);
+        flow.completions().await;
+        assert!((bucket.tokens() + of_frame).abs() < 1e-6, "{} of {of_frame}", bucket.tokens());
+        assert!(flow.cached(key(0), Delivery::Exact).is_some());
+        assert!((bucket.tokens() + 2.0 * of_frame).abs() < 1e-6, "{} of {of_frame}", bucket.tokens());
+        assert!(flow.cached(key(1), Delivery::Exact).is_none());
+        assert!((bucket.tokens() + 2.0 * of_frame).abs() < 1e-6, "what is not cached is free");
     }
 
     #[tokio::test]

@@ -1,17 +1,30 @@
-//! Headless Chromium over the Chrome DevTools Protocol:
+//! Headless Chromium, driven by chromiumoxide over the Chrome DevTools Protocol:
 //! <https://chromedevtools.github.io/devtools-protocol/>.
 
-use futures_util::{SinkExt, StreamExt};
+use chromiumoxide::browser::BrowserConfig;
+use chromiumoxide::cdp::browser_protocol::emulation::{
+    MediaFeature, SetDeviceMetricsOverrideParams, SetTouchEmulationEnabledParams,
+};
+use chromiumoxide::cdp::browser_protocol::input::{
+    DispatchKeyEventParams, DispatchMouseEventParams, DispatchTouchEventParams, DispatchTouchEventReturns,
+};
+use chromiumoxide::cdp::browser_protocol::log::{EventEntryAdded, LogEntryLevel};
+use chromiumoxide::cdp::browser_protocol::network::{EventRequestWillBeSent, EventResponseReceived};
+use chromiumoxide::cdp::browser_protocol::page::{CaptureScreenshotFormat, NavigateParams};
+use chromiumoxide::cdp::js_protocol::runtime::{
+    ConsoleApiCalledType, EvaluateParams, EventConsoleApiCalled, EventExceptionThrown,
+};
+use chromiumoxide::page::ScreenshotParams;
+use chromiumoxide::types::MethodId;
+use chromiumoxide::{Command, Method, Page};
+use futures_util::{Stream, StreamExt, stream};
+use serde::Serialize;
+use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
-use std::io::{BufRead, BufReader};
 use std::path::PathBuf;
-use std::process::{Child, Command, Stdio};
 use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
-use tokio::net::TcpStream;
-use tokio_tungstenite::tungstenite::Message;
-use tokio_tungstenite::tungstenite::protocol::WebSocketConfig;
-use tokio_tungstenite::{MaybeTlsStream, WebSocketStream, connect_async_with_config};
 
 /// Message without a browser.
 pub const MISSING: &str =
@@ -25,70 +38,63 @@ const POLL_INTERVAL: Duration = Duration::from_millis(50);
 
 /// A browser process with its own profile; killed and cleaned up on drop.
 pub struct Browser {
-    child: Child,
+    /// Taken by the drop: its process has to end before its profile is removed.
+    browser: Option<chromiumoxide::Browser>,
     profile: PathBuf,
-    address: String,
 }
 
 impl Browser {
-    pub fn start() -> Self {
+    pub async fn start() -> Self {
         static NUMBER: AtomicU32 = AtomicU32::new(0);
         let number = NUMBER.fetch_add(1, Ordering::Relaxed);
         // A short name: paths of sockets are limited to about a hundred bytes.
         let profile = std::env::temp_dir().join(format!("tombolo-page-{}-{number}", std::process::id()));
         std::fs::create_dir_all(&profile).unwrap();
-        let mut child = Command::new(installed_browser::chromium().expect(MISSING))
+        let config = BrowserConfig::builder()
+            .chrome_executable(installed_browser::chromium().expect(MISSING))
+            .new_headless_mode()
             // The sandbox needs privileges that containers lack; only trusted pages are opened.
-            .args([
-                "--headless=new",
-                "--no-sandbox",
-                "--no-first-run",
-                "--disable-extensions",
-                "--disable-gpu",
-            ])
-            .args(["--remote-debugging-port=0", "--force-device-scale-factor=1", "--hide-scrollbars"])
-            .arg(format!("--user-data-dir={}", profile.display()))
-            .arg("about:blank")
-            .env("TMPDIR", &profile)
-            .stdin(Stdio::null())
-            .stdout(Stdio::null())
-            .stderr(Stdio::piped())
-            .spawn()
-            .expect("the browser starts");
-        let mut output = BufReader::new(child.stderr.take().unwrap()).lines();
-        let address = output
-            .by_ref()
-            .map_while(Result::ok)
-            .find_map(|line| line.strip_prefix("DevTools listening on ").map(str::to_owned))
-            .expect("the browser prints its address");
-        // Drains the output, so that the browser does not block on it.
-        std::thread::spawn(move || output.for_each(drop));
-        Self { child, profile, address }
+            .no_sandbox()
+            .args(["no-first-run", "disable-gpu"])
+            .arg(("force-device-scale-factor", "1"))
+            .user_data_dir(&profile)
+            .env("TMPDIR", profile.display().to_string())
+            .viewport(None)
+            .launch_timeout(TIMEOUT)
+            .request_timeout(TIMEOUT)
+            .build()
+            .unwrap();
+        let (browser, mut messages) = chromiumoxide::Browser::launch(config).await.unwrap();
+        // Sends commands and receives answers until the browser ends.
+        tokio::spawn(async move { while messages.next().await.is_some() {} });
+        Self { browser: Some(browser), profile }
     }
 
     /// A new tab, whose errors are recorded from the start.
     pub async fn tab(&self) -> Tab {
-        // A screenshot is one message of a few megabytes.
-        let config =
-            WebSocketConfig::default().max_message_size(Some(64 << 20)).max_frame_size(Some(64 << 20));
-        let (socket, _) =
-            connect_async_with_config(self.address.as_str(), Some(config), false).await.unwrap();
-        let mut tab = Tab { socket, session: None, next: 0, faults: Vec::new(), requests: Vec::new() };
-        let target = tab.call("Target.createTarget", json!({ "url": "about:blank" })).await;
-        let attach = json!({ "targetId": target["targetId"], "flatten": true });
-        let attached = tab.call("Target.attachToTarget", attach).await;
-        tab.session = Some(attached["sessionId"].as_str().unwrap().to_owned());
-        for domain in ["Page", "Runtime", "Log", "Network"] {
-            tab.call(&format!("{domain}.enable"), json!({})).await;
-        }
-        tab
+        let page = self.browser.as_ref().expect("not dropped").new_page("about:blank").await.unwrap();
+        page.enable_log().await.unwrap();
+        page.enable_runtime().await.unwrap();
+        let recorded = Arc::new(Mutex::new(Recorded::default()));
+        let mut entries = entries(&page).await;
+        let record = Arc::clone(&recorded);
+        tokio::spawn(async move {
+            while let Some(entry) = entries.next().await {
+                let mut recorded = record.lock().unwrap();
+                match entry {
+                    Entry::Error(error) => recorded.errors.push(error),
+                    Entry::Request(url) => recorded.requests.push(url),
+                }
+            }
+        });
+        Tab { page, recorded }
     }
 }
 
 impl Drop for Browser {
     fn drop(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
+        // Kills the process.
+        drop(self.browser.take());
         // Its child processes end slightly later and write to the profile until then.
         for _ in 0..50 {
             if std::fs::remove_dir_all(&self.profile).is_ok() || !self.profile.exists() {
@@ -99,90 +105,97 @@ impl Drop for Browser {
     }
 }
 
+/// What a page has done.
+#[derive(Debug, Default)]
+struct Recorded {
+    errors: Vec<String>,
+    /// URLs of all network requests.
+    requests: Vec<String>,
+}
+
+enum Entry {
+    Error(String),
+    Request(String),
+}
+
+/// Errors and requests of a page.
+async fn entries(page: &Page) -> impl Stream<Item = Entry> + Unpin + use<> {
+    let exceptions = page.event_listener::<EventExceptionThrown>().await.unwrap();
+    let console = page.event_listener::<EventConsoleApiCalled>().await.unwrap();
+    let log = page.event_listener::<EventEntryAdded>().await.unwrap();
+    let requests = page.event_listener::<EventRequestWillBeSent>().await.unwrap();
+    let responses = page.event_listener::<EventResponseReceived>().await.unwrap();
+    let exceptions = exceptions.map(|event| Some(Entry::Error(format!("{:?}", event.exception_details))));
+    let console = console.map(|event| {
+        use ConsoleApiCalledType::{Assert, Error, Warning};
+        matches!(event.r#type, Error | Warning | Assert).then(|| Entry::Error(format!("{:?}", event.args)))
+    });
+    let log = log.map(|event| {
+        matches!(event.entry.level, LogEntryLevel::Error | LogEntryLevel::Warning)
+            .then(|| Entry::Error(format!("{:?}", event.entry)))
+    });
+    let requests = requests.map(|event| Some(Entry::Request(event.request.url.clone())));
+    let responses = responses.map(|event| {
+        let (status, url) = (event.response.status, &event.response.url);
+        (status >= 400).then(|| Entry::Error(format!("{status} {url}")))
+    });
+    let all = [exceptions.boxed(), console.boxed(), log.boxed(), requests.boxed(), responses.boxed()];
+    stream::select_all(all).filter_map(std::future::ready)
+}
+
+/// `Input.dispatchTouchEvent` without a finger. The type of the library leaves an empty list out,
+/// which the browser rejects.
+#[derive(Debug, Serialize)]
+#[serde(rename_all = "camelCase")]
+struct TouchEnd {
+    r#type: &'static str,
+    touch_points: [(); 0],
+}
+
+impl Method for TouchEnd {
+    fn identifier(&self) -> MethodId {
+        DispatchTouchEventParams::IDENTIFIER.into()
+    }
+}
+
+impl Command for TouchEnd {
+    type Response = DispatchTouchEventReturns;
+}
+
 /// One page.
 pub struct Tab {
-    socket: WebSocketStream<MaybeTlsStream<TcpStream>>,
-    session: Option<String>,
-    next: u64,
-    faults: Vec<String>,
-    /// URLs of all network requests.
-    pub requests: Vec<String>,
+    page: Page,
+    recorded: Arc<Mutex<Recorded>>,
 }
 
 impl Tab {
-    /// Calls a method and returns its result.
-    pub async fn call(&mut self, method: &str, params: Value) -> Value {
-        self.next += 1;
-        let mut message = json!({ "id": self.next, "method": method, "params": params });
-        if let Some(session) = &self.session {
-            message["sessionId"] = session.as_str().into();
-        }
-        self.socket.send(Message::text(message.to_string())).await.unwrap();
-        let answer = async {
-            loop {
-                let message = self.next_message().await;
-                if message["id"] == self.next {
-                    assert!(message.get("error").is_none(), "{method}: {}", message["error"]);
-                    return message["result"].clone();
-                }
-                self.note(&message);
-            }
-        };
-        tokio::time::timeout(TIMEOUT, answer).await.unwrap_or_else(|_| panic!("{method} is not answered"))
-    }
-
-    async fn next_message(&mut self) -> Value {
-        loop {
-            match self.socket.next().await {
-                Some(Ok(Message::Text(text))) => return serde_json::from_str(&text).unwrap(),
-                Some(Ok(_)) => {}
-                other => panic!("the browser went away: {other:?}"),
-            }
-        }
-    }
-
-    /// Records errors and requests from events.
-    fn note(&mut self, event: &Value) {
-        let params = &event["params"];
-        match event["method"].as_str().unwrap_or_default() {
-            "Runtime.exceptionThrown" => self.faults.push(params["exceptionDetails"].to_string()),
-            "Runtime.consoleAPICalled"
-                if matches!(params["type"].as_str(), Some("error" | "warning" | "assert")) =>
-            {
-                self.faults.push(params["args"].to_string());
-            }
-            "Log.entryAdded" if matches!(params["entry"]["level"].as_str(), Some("error" | "warning")) => {
-                self.faults.push(params["entry"].to_string());
-            }
-            "Network.requestWillBeSent" => {
-                self.requests.extend(params["request"]["url"].as_str().map(str::to_owned));
-            }
-            "Network.responseReceived" if params["response"]["status"].as_u64() >= Some(400) => {
-                self.faults.push(format!("{} {}", params["response"]["status"], params["response"]["url"]));
-            }
-            _ => {}
-        }
+    /// Calls a method with its parameters as JSON and returns its result.
+    async fn call<C: Command + DeserializeOwned>(&self, params: Value) -> C::Response {
+        let command: C = serde_json::from_value(params).unwrap();
+        let method = command.identifier();
+        let answer = self.page.execute(command).await;
+        answer.unwrap_or_else(|error| panic!("{method}: {error}")).result
     }
 
     /// Loads a URL, also if only its fragment differs, and waits for the load.
-    pub async fn open(&mut self, url: &str) {
-        self.call("Page.navigate", json!({ "url": "about:blank" })).await;
+    pub async fn open(&self, url: &str) {
+        self.call::<NavigateParams>(json!({ "url": "about:blank" })).await;
         self.wait_for("location.href === 'about:blank'", "an empty page").await;
-        let started = self.call("Page.navigate", json!({ "url": url })).await;
-        assert!(started.get("errorText").is_none(), "{url}: {}", started["errorText"]);
+        let started = self.call::<NavigateParams>(json!({ "url": url })).await;
+        assert_eq!(started.error_text, None, "{url}");
         self.wait_for("location.href !== 'about:blank' && document.readyState === 'complete'", url).await;
     }
 
     /// The value of a script; promises are awaited.
-    pub async fn evaluate(&mut self, script: &str) -> Value {
+    pub async fn evaluate(&self, script: &str) -> Value {
         let params = json!({ "expression": script, "returnByValue": true, "awaitPromise": true });
-        let result = self.call("Runtime.evaluate", params).await;
-        assert!(result.get("exceptionDetails").is_none(), "{script}: {}", result["exceptionDetails"]);
-        result["result"]["value"].clone()
+        let result = self.call::<EvaluateParams>(params).await;
+        assert!(result.exception_details.is_none(), "{script}: {:?}", result.exception_details);
+        result.result.value.unwrap_or_default()
     }
 
     /// Waits until a script returns `true`.
-    pub async fn wait_for(&mut self, script: &str, what: &str) {
+    pub async fn wait_for(&self, script: &str, what: &str) {
         let start = Instant::now();
         // During a navigation scripts fail with an exception.
         let guarded =
@@ -194,9 +207,10 @@ impl Tab {
                         "document.body.innerText + JSON.stringify(document.getElementById('relief').dataset)",
                     )
                     .await;
+                let errors = self.take_errors().await;
                 panic!(
                     "timed out waiting for {what}; text of the page: {page}; errors: {:?}",
-                    &self.faults[..self.faults.len().min(3)]
+                    &errors[..errors.len().min(3)]
                 );
             }
             tokio::time::sleep(POLL_INTERVAL).await;
@@ -204,24 +218,37 @@ impl Tab {
     }
 
     /// Errors since the last call.
-    pub fn take_errors(&mut self) -> Vec<String> {
-        std::mem::take(&mut self.faults)
+    pub async fn take_errors(&self) -> Vec<String> {
+        self.receive_events().await;
+        std::mem::take(&mut self.recorded.lock().unwrap().errors)
+    }
+
+    /// URLs of all network requests.
+    pub async fn requests(&self) -> Vec<String> {
+        self.receive_events().await;
+        self.recorded.lock().unwrap().requests.clone()
+    }
+
+    /// Waits until the events so far are recorded: they come in order, the last ones before the
+    /// answer to this call, and are recorded by another task.
+    async fn receive_events(&self) {
+        self.evaluate("0").await;
+        tokio::time::sleep(POLL_INTERVAL).await;
     }
 
     /// Sets the size of the screen in CSS pixels, and whether it is a phone.
-    pub async fn resize(&mut self, width: u32, height: u32, is_phone: bool) {
+    pub async fn resize(&self, width: u32, height: u32, is_phone: bool) {
         let params = json!({ "width": width, "height": height, "deviceScaleFactor": 1, "mobile": is_phone });
-        self.call("Emulation.setDeviceMetricsOverride", params).await;
+        self.call::<SetDeviceMetricsOverrideParams>(params).await;
     }
 
     /// Sets a user preference as a CSS media feature.
-    pub async fn prefer(&mut self, feature: &str, value: &str) {
-        let features = json!([{ "name": feature, "value": value }]);
-        self.call("Emulation.setEmulatedMedia", json!({ "features": features })).await;
+    pub async fn prefer(&self, feature: &str, value: &str) {
+        self.page.emulate_media_features(vec![MediaFeature::new(feature, value)]).await.unwrap();
     }
 
     /// Drags with the left button in several steps.
-    pub async fn drag(&mut self, from: (f64, f64), to: (f64, f64)) {
+    pub async fn drag(&self, from: (f64, f64), to: (f64, f64)) {
         self.mouse("mousePressed", from, json!({ "button": "left", "buttons": 1, "clickCount": 1 })).await;
         for step in 1..=4 {
             let share = f64::from(step) / 4.0;
@@ -232,67 +259,45 @@ impl Tab {
     }
 
     /// Turns the wheel at a position; negative is away from the user.
-    pub async fn wheel(&mut self, at: (f64, f64), units: f64) {
+    pub async fn wheel(&self, at: (f64, f64), units: f64) {
         self.mouse("mouseWheel", at, json!({ "deltaX": 0, "deltaY": units })).await;
     }
 
     /// Touches with two fingers at a distance around a position, and moves them apart or together.
-    pub async fn pinch(&mut self, (x, y): (f64, f64), from: f64, to: f64) {
-        self.call("Emulation.setTouchEmulationEnabled", json!({ "enabled": true, "maxTouchPoints": 2 }))
-            .await;
+    pub async fn pinch(&self, (x, y): (f64, f64), from: f64, to: f64) {
+        let enabled = json!({ "enabled": true, "maxTouchPoints": 2 });
+        self.call::<SetTouchEmulationEnabledParams>(enabled).await;
         let fingers =
             |away: f64| json!([{ "x": x - away, "y": y, "id": 1 }, { "x": x + away, "y": y, "id": 2 }]);
         self.touch("touchStart", fingers(from)).await;
         for step in 1..=4 {
             self.touch("touchMove", fingers(from + (to - from) * f64::from(step) / 4.0)).await;
         }
-        self.touch("touchEnd", json!([])).await;
+        self.page.execute(TouchEnd { r#type: "touchEnd", touch_points: [] }).await.unwrap();
     }
 
-    async fn touch(&mut self, kind: &str, points: Value) {
-        self.call("Input.dispatchTouchEvent", json!({ "type": kind, "touchPoints": points })).await;
+    async fn touch(&self, kind: &str, points: Value) {
+        self.call::<DispatchTouchEventParams>(json!({ "type": kind, "touchPoints": points })).await;
     }
 
-    async fn mouse(&mut self, kind: &str, (x, y): (f64, f64), more: Value) {
+    async fn mouse(&self, kind: &str, (x, y): (f64, f64), more: Value) {
         let mut params = json!({ "type": kind, "x": x, "y": y });
         for (name, value) in more.as_object().unwrap() {
             params[name] = value.clone();
         }
-        self.call("Input.dispatchMouseEvent", params).await;
+        self.call::<DispatchMouseEventParams>(params).await;
     }
 
     /// Presses and releases a key.
-    pub async fn key(&mut self, key: &str) {
+    pub async fn key(&self, key: &str) {
         for kind in ["rawKeyDown", "keyUp"] {
-            self.call("Input.dispatchKeyEvent", json!({ "type": kind, "key": key })).await;
+            self.call::<DispatchKeyEventParams>(json!({ "type": kind, "key": key })).await;
         }
     }
 
     /// A screenshot as PNG.
-    pub async fn screenshot(&mut self) -> Vec<u8> {
-        let shot = self.call("Page.captureScreenshot", json!({ "format": "png" })).await;
-        base64(shot["data"].as_str().unwrap())
+    pub async fn screenshot(&self) -> Vec<u8> {
+        let format = ScreenshotParams::builder().format(CaptureScreenshotFormat::Png).build();
+        self.page.screenshot(format).await.unwrap()
     }
-}
-
-/// RFC 4648, section 4.
-fn base64(text: &str) -> Vec<u8> {
-    let (mut bytes, mut bits, mut count) = (Vec::with_capacity(text.len() * 3 / 4), 0u32, 0);
-    for letter in text.bytes().take_while(|letter| *letter != b'=') {
-        let value = match letter {
-            b'A'..=b'Z' => letter - b'A',
-            b'a'..=b'z' => letter - b'a' + 26,
-            b'0'..=b'9' => letter - b'0' + 52,
-            b'+' => 62,
-            b'/' => 63,
-            _ => panic!("{letter} is not base64"),
-        };
-        bits = bits << 6 | u32::from(value);
-        count += 6;
-        if count >= 8 {
-            count -= 8;
-            bytes.push((bits >> count) as u8);
-        }
-    }
-    bytes
 }

@@ -58,13 +58,13 @@ const PAINTED: &str = "(({ wanted, drawn }) => Number(wanted) > 3 && wanted === 
     (document.getElementById('relief').dataset)";
 
 /// Text of an element.
-async fn text(tab: &mut Tab, id: &str) -> String {
+async fn text(tab: &Tab, id: &str) -> String {
     let value = tab.evaluate(&format!("document.getElementById('{id}').textContent")).await;
     value.as_str().unwrap().to_owned()
 }
 
 /// Position of a session's arrow, CSS pixels.
-async fn arrow(tab: &mut Tab, session: u64) -> (f64, f64) {
+async fn arrow(tab: &Tab, session: u64) -> (f64, f64) {
     let script = format!(
         "[...document.querySelectorAll('.client')]
             .find((group) => group.querySelector('text').textContent === '{session}')
@@ -75,7 +75,7 @@ async fn arrow(tab: &mut Tab, session: u64) -> (f64, f64) {
 }
 
 /// Number of colours in a grid of points of the canvas, and of those that are blue.
-async fn colours(tab: &mut Tab) -> (u64, u64) {
+async fn colours(tab: &Tab) -> (u64, u64) {
     let script = "(() => {
         const canvas = document.getElementById('relief');
         const { width, height } = canvas;
@@ -103,8 +103,8 @@ async fn visit() {
         MovingClient::start(&server, [1900, 2300], -60_000, 120).await,
         MovingClient::start(&server, [1500, -2700], 120_000, 60).await,
     ];
-    let browser = Browser::start();
-    let mut tab = browser.tab().await;
+    let browser = Browser::start().await;
+    let tab = browser.tab().await;
     tab.resize(1280, 800, false).await;
     tab.open(&server.page()).await;
 
@@ -124,18 +124,18 @@ async fn visit() {
         "the height of the middle",
     )
     .await;
-    let (colours_seen, blue) = colours(&mut tab).await;
+    let (colours_seen, blue) = colours(&tab).await;
     assert!(colours_seen > 200 && blue > 300, "{colours_seen} colours, {blue} blue points");
-    let command = text(&mut tab, "command").await;
+    let command = text(&tab, "command").await;
     assert_eq!(command, format!("tombolo-view --connect {}", server.stream()));
-    let scale = text(&mut tab, "scale-text").await;
+    let scale = text(&tab, "scale-text").await;
     assert_eq!(scale, "2 km");
 
     // Dragging moves map and clients equally.
-    let before = arrow(&mut tab, still.session).await;
+    let before = arrow(&tab, still.session).await;
     tab.drag((600.0, 500.0), (480.0, 440.0)).await;
     tab.wait_for(PAINTED, "all tiles after a drag").await;
-    let after = arrow(&mut tab, still.session).await;
+    let after = arrow(&tab, still.session).await;
     let moved = (after.0 - before.0, after.1 - before.1);
     assert!((moved.0 + 120.0).abs() < 1.0 && (moved.1 + 60.0).abs() < 1.0, "{moved:?}");
 
@@ -149,7 +149,7 @@ async fn visit() {
     )
     .await;
     tab.wait_for(PAINTED, "all tiles after zooming").await;
-    let zoomed = arrow(&mut tab, still.session).await;
+    let zoomed = arrow(&tab, still.session).await;
     assert!((zoomed.0 - after.0).abs() < 1.0 && (zoomed.1 - after.1).abs() < 1.0, "{after:?} {zoomed:?}");
 
     // Keys.
@@ -207,24 +207,24 @@ async fn visit() {
     tab.prefer("prefers-reduced-motion", "no-preference").await;
 
     // No errors, and all requests went to this server.
-    let faults = tab.take_errors();
+    let faults = tab.take_errors().await;
     assert_eq!(faults, Vec::<String>::new());
+    let requests = tab.requests().await;
     assert!(
-        tab.requests.len() > 50 && tab.requests.iter().all(|url| url.starts_with(&server.page())),
-        "{:?}",
-        tab.requests
+        requests.len() > 50 && requests.iter().all(|url| url.starts_with(&server.page())),
+        "{requests:?}"
     );
     // The controls: an error is detected, and the policy blocks other servers.
     tab.evaluate("console.error('a control')").await;
     tab.wait_for("true", "a moment").await;
-    assert!(tab.take_errors().iter().any(|fault| fault.contains("a control")));
+    assert!(tab.take_errors().await.iter().any(|fault| fault.contains("a control")));
     let foreign = "new Promise((done) => {
         addEventListener('securitypolicyviolation',
             (event) => done(event.effectiveDirective), { once: true });
         new Image().src = 'http://127.0.0.1:9/picture.png';
     })";
     assert_eq!(tab.evaluate(foreign).await, "img-src");
-    assert!(!tab.take_errors().is_empty(), "which the browser reports as an error");
+    assert!(!tab.take_errors().await.is_empty(), "which the browser reports as an error");
 
     // Screenshots for inspection.
     for (name, width, height, scheme, fragment) in [
@@ -254,7 +254,7 @@ async fn visit() {
             )
             .await;
         assert_eq!(overflows, false, "{name} fits its screen");
-        save_screenshot(&mut tab, name, width, height).await;
+        save_screenshot(&tab, name, width, height).await;
     }
 
     // On a phone details are behind a button, and two fingers zoom.
@@ -266,19 +266,19 @@ async fn visit() {
     tab.wait_for("document.getElementById('details').checkVisibility()", "the rest").await;
     assert_eq!(tab.evaluate("document.getElementById('more').getAttribute('aria-expanded')").await, "true");
     tab.wait_for("document.querySelectorAll('#list li').length === 4", "the list on a phone").await;
-    save_screenshot(&mut tab, "narrow-open", 390, 844).await;
+    save_screenshot(&tab, "narrow-open", 390, 844).await;
     tab.evaluate("document.getElementById('more').click()").await;
     let level =
         tab.evaluate("Number(document.getElementById('relief').dataset.level)").await.as_i64().unwrap();
     tab.pinch((195.0, 400.0), 30.0, 150.0).await;
     let finer = format!("Number(document.getElementById('relief').dataset.level) === {level} - 2");
     tab.wait_for(&finer, "two levels finer at five times the distance of two fingers").await;
-    assert_eq!(tab.take_errors(), Vec::<String>::new());
+    assert_eq!(tab.take_errors().await, Vec::<String>::new());
     drop((still, others));
 }
 
 /// Takes a screenshot, checks its size, and saves it if requested.
-async fn save_screenshot(tab: &mut Tab, name: &str, width: u32, height: u32) {
+async fn save_screenshot(tab: &Tab, name: &str, width: u32, height: u32) {
     assert_eq!(tab.evaluate(OVERLAPS).await, json!([]), "{name}");
     let picture = tab.screenshot().await;
     let mut decoded = png::Decoder::new(std::io::Cursor::new(&picture)).read_info().unwrap();
@@ -313,8 +313,8 @@ fn folder() -> Option<PathBuf> {
 async fn outage() {
     let server = Program::start("127.0.0.1:0", &[]);
     let (page, address) = (server.page(), server.address.clone());
-    let browser = Browser::start();
-    let mut tab = browser.tab().await;
+    let browser = Browser::start().await;
+    let tab = browser.tab().await;
     tab.resize(390, 844, true).await;
     tab.open(&page).await;
     tab.wait_for("document.body.dataset.state === 'live'", "the server's figures").await;
@@ -326,7 +326,7 @@ async fn outage() {
         "word of the outage",
     )
     .await;
-    assert!(text(&mut tab, "notice").await.contains("does not answer"));
+    assert!(text(&tab, "notice").await.contains("does not answer"));
     // A place without cached tiles: without a server there are none.
     tab.evaluate("location.hash = '#x=30000&z=9000&level=4.00'").await;
     tab.wait_for("Number(document.getElementById('relief').dataset.drawn) === 0", "nothing to draw").await;
@@ -344,8 +344,8 @@ async fn token() {
     let file = folder.join(format!("token-{}", std::process::id()));
     std::fs::write(&file, "sesame\n").unwrap();
     let server = Program::start("127.0.0.1:0", &["--token-file", file.to_str().unwrap()]);
-    let browser = Browser::start();
-    let mut tab = browser.tab().await;
+    let browser = Browser::start().await;
+    let tab = browser.tab().await;
     tab.resize(1280, 800, false).await;
     tab.open(&server.page()).await;
     tab.wait_for(

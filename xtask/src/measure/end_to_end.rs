@@ -8,8 +8,10 @@ use anyhow::Result;
 use bars::Bar;
 use bars::figures::{at, ratio, text, worst};
 use serde_json::Value;
+use std::process::Command;
 
-const WORLD_SEED: u64 = 1;
+/// World of the server.
+pub const WORLD_SEED: u64 = 1;
 
 /// Cold and warm starts measured, each on a fresh server; the worst counts.
 const STARTS: usize = 3;
@@ -36,11 +38,12 @@ pub fn rows(run: &mut Run) -> Result<Vec<Bar>> {
     let (mut cold, mut warm) = (Vec::new(), Vec::new());
     for number in 1..=STARTS {
         let server = Server::start(WORLD_SEED)?;
-        cold.push(view(run, &server, &format!("cold-{number}"), &[])?);
-        warm.push(view(run, &server, &format!("warm-{number}"), &[])?);
+        cold.push(view(run, process::viewer(), &server, &format!("cold-{number}"), &[])?);
+        warm.push(view(run, process::viewer(), &server, &format!("warm-{number}"), &[])?);
     }
     let budget = SMALL_BUDGET_MB.to_string();
-    let small = view(run, &Server::start(WORLD_SEED)?, "small-budget", &["--chunk-mb", &budget])?;
+    let small =
+        view(run, process::viewer(), &Server::start(WORLD_SEED)?, "small-budget", &["--chunk-mb", &budget])?;
     let (load, peak_mib) = load(run)?;
     run.notes.push(how(&load));
     run.adapter = cold.iter().chain(&warm).find_map(|stats| text(stats, "adapter").map(str::to_owned));
@@ -99,8 +102,8 @@ fn how(load: &Value) -> String {
 }
 
 /// One viewer's stats. A viewer that fails leaves no figures, and its rows miss.
-fn view(run: &mut Run, server: &Server, name: &str, more: &[&str]) -> Result<Value> {
-    let mut viewer = process::viewer();
+pub fn view(run: &mut Run, mut viewer: Command, server: &Server, name: &str, more: &[&str]) -> Result<Value> {
+    process::quiet_drivers(&mut viewer);
     viewer
         .args(["--connect", &server.stream(), "--scene", "island", "--size", "640x360"])
         .args(["--quality", "medium", "--view-distance", "8000", "--grass", "0", "--trees", "0"])

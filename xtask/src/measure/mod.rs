@@ -4,6 +4,7 @@
 mod audit;
 mod cluster;
 mod code;
+mod demo_build;
 mod end_to_end;
 mod fuzz;
 pub mod heightfield;
@@ -40,10 +41,11 @@ macro_rules! by_lab {
     };
 }
 
-const MEASUREMENTS: [Measurement; 16] = [
+const MEASUREMENTS: [Measurement; 17] = [
     ("audit", &[], audit::rows),
     ("code", &[], code::rows),
     ("end-to-end", &["tombolo-server", "tombolo-view", "tombolo-load"], end_to_end::rows),
+    ("demo-build", &["tombolo-server", "tombolo-server-bench", "tombolo-view"], demo_build::rows),
     ("heightfield", &["tombolo-lab"], heightfield::rows),
     ("streaming", &["tombolo-lab", "tombolo-server", "tombolo-server-bench"], streaming::rows),
     ("resilience", &["tombolo-server", "tombolo-server-bench", "tombolo-view"], resilience::rows),

@@ -9,7 +9,7 @@ use std::fmt::Write;
 pub const PATH: &str = "docs/measurements/README.md";
 
 /// Order of the sections; a measurement without notes has no section.
-const SECTIONS: [&str; 17] = [
+const SECTIONS: [&str; 18] = [
     "heightfield",
     "land",
     "end-to-end",
@@ -24,6 +24,7 @@ const SECTIONS: [&str; 17] = [
     "websocket",
     "fuzz",
     "mutants",
+    "demo-build",
     "code",
     "gpu",
     "audit",

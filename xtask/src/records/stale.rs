@@ -16,7 +16,7 @@ const COMMON: [&str; 2] = ["bars", "xtask/src/measure/runs.rs"];
 
 /// What each measurement measures beside [`COMMON`]: paths from the root. Tests and documents in
 /// them do not count.
-const MEASURED: [(&str, &[&str]); 17] = [
+const MEASURED: [(&str, &[&str]); 18] = [
     ("code", &["*.rs", "*.wesl", "*.md", "*.toml"]),
     (
         "heightfield",
@@ -73,6 +73,25 @@ const MEASURED: [(&str, &[&str]); 17] = [
             "benches/land-comparison",
             "benches/noise-comparison/src/rounds.rs",
             "xtask/src/measure/land.rs",
+        ],
+    ),
+    // Programs make a build longer with every line: what is compared are profiles, features and
+    // dependencies.
+    (
+        "demo-build",
+        &[
+            "Cargo.toml",
+            ".cargo/config.toml",
+            "client/Cargo.toml",
+            "protocol/Cargo.toml",
+            "server/Cargo.toml",
+            "shaders/Cargo.toml",
+            "terrain/Cargo.toml",
+            "xtask/Cargo.toml",
+            "xtask/src/demo.rs",
+            "xtask/src/measure/demo_build.rs",
+            "xtask/src/process.rs",
+            "xtask/src/setup.rs",
         ],
     ),
     (
@@ -381,6 +400,9 @@ fn comparison(path: &str) -> Option<fn(&str, &str) -> bool> {
     match path.rsplit_once('.')?.1 {
         "rs" => Some(have_equal_code),
         "wesl" | "wgsl" => Some(|before, now| have_equal_lines(before, now, "//")),
+        "toml" if path.ends_with("Cargo.toml") => {
+            Some(|before, now| have_equal_lines(&without_test_tables(before), &without_test_tables(now), "#"))
+        }
         "toml" => Some(|before, now| have_equal_lines(before, now, "#")),
         _ => None,
     }
@@ -393,6 +415,22 @@ fn have_equal_lines(before: &str, now: &str, comment: &str) -> bool {
         text.lines().filter(is_code).map(str::to_owned).collect()
     };
     lines(before) == lines(now)
+}
+
+/// A manifest without the tables of tests and of what they alone depend on.
+fn without_test_tables(manifest: &str) -> String {
+    let mut is_of_tests = false;
+    let mut kept = String::new();
+    for line in manifest.lines() {
+        if line.starts_with('[') {
+            is_of_tests = line == "[[test]]" || line.trim_end().ends_with("dev-dependencies]");
+        }
+        if !is_of_tests {
+            kept.push_str(line);
+            kept.push('\n');
+        }
+    }
+    kept
 }
 
 #[cfg(test)]

@@ -10,7 +10,7 @@ const FILE_EXTENSIONS: [&str; 16] = [
 ];
 
 /// Options of cargo that name a target, and the folder of such targets.
-const TARGETS: [(&str, &str); 3] =
+const CARGO_TARGETS: [(&str, &str); 3] =
     [("--example ", "examples"), ("--test ", "tests"), ("--bench ", "benches")];
 
 /// Options of programs that are not the project's.
@@ -51,7 +51,7 @@ const FOREIGN_OPTIONS: [&str; 34] = [
     "stop",
 ];
 
-/// Names in Markdown outside the records of measurements.
+/// Checks the names in Markdown outside the records of measurements.
 pub fn check(files: &Files) -> Vec<Finding> {
     let rust: Vec<&str> = files.with_extension(&["rs"]).map(|(_, text)| text).collect();
     let known = |needle: &str| rust.iter().any(|text| text.contains(needle));
@@ -76,7 +76,7 @@ pub fn check(files: &Files) -> Vec<Finding> {
                     missing(format!("file {span}, which does not exist"));
                 }
             }
-            for (option, folder) in TARGETS {
+            for (option, folder) in CARGO_TARGETS {
                 for name in words_after(line, option) {
                     let ends = [format!("/{folder}/{name}.rs"), format!("/{folder}/{name}/main.rs")];
                     if !files.0.keys().any(|file| ends.iter().any(|end| file.ends_with(end))) {
@@ -158,8 +158,8 @@ fn is_path(span: &str) -> bool {
 /// Whether a path exists from the root, from the document's folder, or, for a bare name, anywhere.
 fn exists(files: &Files, document: &str, target: &str) -> bool {
     let folder = document.rsplit_once('/').map_or("", |(folder, _)| folder);
-    let joined = normal(&format!("{folder}/{target}"));
-    [normal(target), joined].iter().any(|path| has(files, path))
+    let joined = normalized(&format!("{folder}/{target}"));
+    [normalized(target), joined].iter().any(|path| has(files, path))
         || files.0.keys().any(|file| file.ends_with(&format!("/{}", target.trim_end_matches('/'))))
         || (target.ends_with('/') && files.0.keys().any(|file| file.contains(&format!("/{target}"))))
 }
@@ -172,7 +172,7 @@ fn has(files: &Files, path: &str) -> bool {
         || crate::process::root().join(path).is_file()
 }
 
-fn normal(path: &str) -> String {
+fn normalized(path: &str) -> String {
     let mut parts: Vec<&str> = Vec::new();
     for part in path.split('/') {
         match part {

@@ -1,4 +1,4 @@
-//! The antialiasing pass: encoded colors with smooth edges.
+//! The antialiasing pass: encoded colours with smooth edges.
 
 use super::target::{Target, pipelines};
 use crate::gpu::bind::{bind, layout, sampler_entry, texture_entry};
@@ -23,7 +23,7 @@ impl AntialiasPass {
         Self { pipelines: pipelines(device, shader, &layout, format), layout }
     }
 
-    /// Bindings over encoded colors.
+    /// Bindings over encoded colours.
     #[must_use]
     pub fn bind(
         &self,

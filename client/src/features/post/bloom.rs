@@ -26,7 +26,7 @@ pub struct BloomPass {
 pub struct BloomTargets {
     /// Level 0 is half the rendered size.
     views: Vec<wgpu::TextureView>,
-    /// Over the HDR color, then over every level.
+    /// Over the HDR colour, then over every level.
     sources: Vec<wgpu::BindGroup>,
 }
 
@@ -57,7 +57,7 @@ impl BloomPass {
         }
     }
 
-    /// Targets for an HDR color of `size` pixels.
+    /// Targets for an HDR colour of `size` pixels.
     #[must_use]
     pub fn targets(
         &self,

@@ -181,7 +181,7 @@ impl PostPasses {
             pass.draw(0..3, 0..1);
         };
 
-        // The HDR color stands in for bloom that is not read.
+        // The HDR colour stands in for bloom that is not read.
         let bloom = sized.bloom.as_ref().filter(|_| settings.bloom > 0.0);
         let views = [hdr, bloom.map_or(hdr, BloomTargets::result)];
         let bindings = sized.tonemap[usize::from(bloom.is_some())]

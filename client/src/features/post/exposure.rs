@@ -1,4 +1,4 @@
-//! Automatic exposure: meters the HDR color on the GPU. The result stays there.
+//! Automatic exposure: meters the HDR colour on the GPU. The result stays there.
 
 use crate::gpu::bind::{bind, compute_uniform_entry, layout, storage_entry, texture_entry};
 use crate::gpu::buffer::create_buffer;
@@ -43,7 +43,7 @@ impl ExposurePass {
         Self { layout, pipelines, sums }
     }
 
-    /// Bindings over the HDR color.
+    /// Bindings over the HDR colour.
     #[must_use]
     pub fn bind(
         &self,

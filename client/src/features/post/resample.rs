@@ -1,4 +1,4 @@
-//! The resampling pass: encoded colors of the rendered size to an image, sharpened.
+//! The resampling pass: encoded colours of the rendered size to an image, sharpened.
 
 use super::target::Target;
 use crate::gpu::bind::{bind, layout, sampler_entry, texture_entry, uniform_entry};
@@ -26,7 +26,7 @@ impl ResamplePass {
         Self { layout, pipelines }
     }
 
-    /// Bindings over encoded colors.
+    /// Bindings over encoded colours.
     #[must_use]
     pub fn bind(
         &self,

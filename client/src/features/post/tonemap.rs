@@ -1,4 +1,4 @@
-//! The tonemap pass: linear HDR color to encoded screen colors.
+//! The tonemap pass: linear HDR colour to encoded screen colours.
 
 use super::target::{Target, pipelines};
 use crate::gpu::bind::{bind, layout, sampler_entry, texture_entry, uniform_entry};
@@ -30,7 +30,7 @@ impl TonemapPass {
         Self { pipelines: pipelines(device, shader, &layout, format), layout }
     }
 
-    /// Bindings over the HDR color; `bloom` is not read where the settings have none.
+    /// Bindings over the HDR colour; `bloom` is not read where the settings have none.
     #[must_use]
     pub fn bind(
         &self,

@@ -118,7 +118,7 @@ impl TerrainPass {
         self.draw_with(&pipeline, pass, materials, clipmap)
     }
 
-    /// Draws depth only, into a pass without color attachments; for checks.
+    /// Draws depth only, into a pass without colour attachments; for checks.
     pub fn draw_depth(
         &mut self,
         device: &wgpu::Device,

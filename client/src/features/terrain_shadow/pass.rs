@@ -16,10 +16,10 @@ pub const MAX_SHADOW_CHUNKS: usize = 64;
 
 /// Quota of an interactive frame: 34,000 rays. At 60 frames a second the visible chunks of a usual
 /// view (about 50) are current within an eighth of a second, the rest within a few seconds.
-pub const PER_FRAME: Quota = Quota { chunks: 8, ahead: 2 };
+pub const PER_FRAME: Quota = Quota { chunks: 8, hidden: 2 };
 
 /// Quota of a still image.
-pub const ALL_VISIBLE: Quota = Quota { chunks: MAX_SHADOW_CHUNKS, ahead: 0 };
+pub const ALL_VISIBLE: Quota = Quota { chunks: MAX_SHADOW_CHUNKS, hidden: 0 };
 
 /// The pass.
 #[derive(Debug)]

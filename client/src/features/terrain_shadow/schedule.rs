@@ -2,7 +2,7 @@
 //!
 //! A shadow is current if it was traced for the drawn chunks and the current sun. Visible chunks
 //! come before others, chunks without a shadow before those with an old one, older before newer,
-//! then nearest first. So no chunk starves while the camera moves.
+//! then nearest first. So no visible chunk starves while the camera moves.
 
 use crate::features::terrain_shadow::page_table::{Page, PageTable};
 use crate::features::terrain_shadow::sun::sun_params;
@@ -25,7 +25,7 @@ pub struct Quota {
     pub chunks: usize,
     /// Of these, at most this many invisible chunks, so that a turning camera finds their shadows
     /// done.
-    pub ahead: usize,
+    pub hidden: usize,
 }
 
 /// One batch of work for the GPU. Counts as done once it was returned.
@@ -112,8 +112,8 @@ impl Schedule {
             })
             .collect();
         waiting.sort_unstable();
-        let is_visible = waiting.iter().filter(|(is_hidden, ..)| !is_hidden).count();
-        waiting.truncate(quota.chunks.min(is_visible + quota.ahead));
+        let visible_count = waiting.iter().filter(|(is_hidden, ..)| !is_hidden).count();
+        waiting.truncate(quota.chunks.min(visible_count + quota.hidden));
         if waiting.is_empty() {
             return None;
         }
@@ -155,7 +155,7 @@ mod tests {
     }
 
     fn upto(chunks: usize) -> Quota {
-        Quota { chunks, ahead: chunks }
+        Quota { chunks, hidden: chunks }
     }
 
     const SUN: Vec3 = Vec3::new(0.6, 0.8, 0.0);
@@ -181,7 +181,7 @@ mod tests {
     fn what_is_out_of_sight_gets_a_share_of_its_own() {
         let (mut schedule, drawn) = (Schedule::new(10), drawn(8, 3));
         schedule.update(&drawn, SUN);
-        let quota = |chunks, ahead| Quota { chunks, ahead };
+        let quota = |chunks, hidden| Quota { chunks, hidden };
         assert_eq!(slots(schedule.next(&drawn, quota(2, 1))), [0, 1]);
         assert_eq!(slots(schedule.next(&drawn, quota(4, 1))), [2, 3]);
         assert_eq!(schedule.next(&drawn, quota(4, 0)), None);

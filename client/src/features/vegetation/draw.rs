@@ -4,10 +4,12 @@
 
 use crate::gpu::bind;
 use crate::gpu::pipeline::{Depth, HDR, HdrPass, Output};
-use crate::gpu::targets::ID_FORMAT;
 use shaders::layout::{CLUMP_BYTES, GRASS_VERTICES, PREPARED_BYTES, PREPARED_HEAD, TREE_VERTICES};
 use shaders::{SHADERS, Shader};
 use std::ops::Range;
+
+/// Ids of plants; only checks draw them.
+pub const ID_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rg32Uint;
 
 /// A plant species.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

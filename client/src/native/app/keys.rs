@@ -99,7 +99,7 @@ mod tests {
     #[test]
     fn digits_go_to_the_places_in_order_and_write_into_text_fields() {
         assert_eq!(action(KeyCode::Digit1, "", false, false), Some(Action::Go(Place::Beach)));
-        assert_eq!(action(KeyCode::Digit8, "", false, false), Some(Action::Go(Place::Highest)));
+        assert_eq!(action(KeyCode::Digit8, "", false, false), Some(Action::Go(Place::From20Km)));
         assert_eq!(action(KeyCode::Digit9, "", false, false), None);
         assert_eq!(action(KeyCode::Digit1, "", false, true), None);
         assert_eq!(action(KeyCode::Digit1, "", true, false), None);

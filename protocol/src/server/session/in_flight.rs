@@ -22,7 +22,7 @@ struct InFlight {
     /// Whether it was reported as stale since the latest request.
     is_stale: bool,
     /// The priority of the chunk in the active view, if the view waits for these requests instead
-    /// of requesting it. If they end without the chunk, the view does.
+    /// of requesting it. If all requests end without the chunk, the view requests it.
     view: Option<u64>,
 }
 
@@ -55,8 +55,8 @@ impl ChunksInFlight {
         self.chunks.remove(&key)?.view
     }
 
-    /// Whether a chunk is in flight. If the active view needs it with a priority, the view waits
-    /// for it.
+    /// Attaches the active view to a chunk in flight, if it needs the chunk with a priority. False
+    /// if the chunk is not in flight.
     pub(super) fn wait_for(&mut self, key: ChunkKey, needed: Option<u64>) -> bool {
         let Some(chunk) = self.chunks.get_mut(&key) else { return false };
         chunk.view = chunk.view.or(needed);
@@ -68,9 +68,9 @@ impl ChunksInFlight {
         self.chunks.values_mut().for_each(|chunk| chunk.view = None);
     }
 
-    /// Marks the chunks for a single request, and for no view beside it, that `is_stale` selects by
-    /// their key and request. Each is marked once, however often its request is cancelled: looking
-    /// it up takes the lock of all sessions.
+    /// Marks each chunk with exactly one request and no waiting view, if `is_stale` says so of its
+    /// key and request. Each is marked once, however often its request is cancelled: looking it up
+    /// takes the lock of all sessions.
     pub(super) fn find_stale(&mut self, is_stale: impl Fn(ChunkKey, Option<u32>) -> bool) {
         for (key, chunk) in &mut self.chunks {
             let is_single = chunk.requests == 1 && chunk.view.is_none();

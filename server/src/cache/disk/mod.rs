@@ -34,8 +34,8 @@ use writer::{DiskWriter, WriterCommand};
 
 /// The finest cached level. A file of 4 KiB is read and verified in 10 us from the page cache, and
 /// in 0.1 to 0.2 ms from flash. A chunk of level 0 is generated and encoded in less than 0.1 ms,
-/// one of level 1 in about 0.2 ms, and coarser ones in 0.4 to 3 ms, since their error is measured
-/// over the levels below.
+/// one of level 1 in about 0.2 ms, and coarser ones in 0.6 ms (level 2) to 7 ms (level 4), since
+/// their error is measured over the levels below.
 pub const FINEST_LEVEL: u8 = 2;
 
 /// Capacity of the write queue, frames: about 1 MiB, 6 MiB with frames of maximum length. One more

@@ -204,10 +204,16 @@ fn the_first_commit_is_stale_for_every_measurement() {
 }
 
 #[test]
-fn comments_of_shaders_and_manifests_do_not_count() {
+fn comments_and_dependencies_of_tests_do_not_count() {
     for (path, before, comment, code) in [
         ("a.wesl", "// One.\nfn f() {}\n", "// Two.\n\n    // More.\nfn f() {}\n", "// One.\nfn f() { }\n"),
         ("Cargo.toml", "# One.\na = 1\n", "a = 1\n", "# One.\na = 2\n"),
+        (
+            "a/Cargo.toml",
+            "[dependencies]\na = 1\n[dev-dependencies]\nb = 1\n[[test]]\nc = 1\n[lints]\nd = 1\n",
+            "[dependencies]\na = 1\n[target.'cfg(unix)'.dev-dependencies]\nb = 2\n[lints]\nd = 1\n",
+            "[dependencies]\na = 1\n[dev-dependencies]\nb = 1\n[lints]\nd = 2\n",
+        ),
     ] {
         let have_equal = comparison(path).unwrap();
         assert!(have_equal(before, comment) && !have_equal(before, code), "{path}");
