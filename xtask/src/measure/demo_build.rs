@@ -140,7 +140,7 @@ fn slower(run: &mut Run, clone: &Path) -> Result<[Option<f64>; 2]> {
             bench.args(program.iter().flat_map(|program| ["--server".as_ref(), program.as_os_str()]));
             let name = if program.is_some() { "demo" } else { "dist" };
             let report = run.report(&format!("cold-{name}-{round}"), bench, "--json")?;
-            times.push(at(&report, "levels/0/total_us"));
+            times.push(at(&report, "figures/levels/0/total_us"));
         }
     }
     let server = Server::start(end_to_end::WORLD_SEED)?;
