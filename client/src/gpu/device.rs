@@ -292,9 +292,12 @@ mod tests {
 
     #[test]
     fn an_error_without_a_match_lists_the_names() {
-        let found = pollster::block_on(named_adapter(&instance(None), None, "no such GPU".into()));
+        let instance = instance(None);
+        let found = pollster::block_on(named_adapter(&instance, None, "no such GPU".into()));
         let error = found.unwrap_err().to_string();
         assert!(error.contains("`no such GPU`") && error.contains(ADAPTER_NAME), "{error}");
+        let known = pollster::block_on(instance.enumerate_adapters(wgpu::Backends::all()));
+        assert!(known.iter().all(|adapter| error.contains(&adapter.get_info().name)), "{error}");
     }
 
     #[test]

@@ -14,6 +14,14 @@ const TOLERANCES_PX: [f64; 2] = [0.5, 4.0];
 /// Pixels that a surface may move by and still counts as in its place.
 const STILL: f32 = 0.25;
 
+/// The pictures that are compared: normals and the view.
+const KINDS: [(Normals, Show); 4] = [
+    (Normals::Land, Show::Image),
+    (Normals::Mesh, Show::Image),
+    (Normals::Land, Show::Light),
+    (Normals::Mesh, Show::Light),
+];
+
 /// Mean FLIP over the ground of all poses.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct Tolerance {
@@ -37,7 +45,7 @@ pub struct Tolerance {
 pub fn measure(views: &mut Views) -> Result<Tolerance, GpuError> {
     let mut changes = [Change::default(); KINDS.len()];
     for case in views.cases.clone() {
-        let [fine, coarse] = TOLERANCES_PX.map(|tolerance_px| Taken::new(views, &case, tolerance_px));
+        let [fine, coarse] = TOLERANCES_PX.map(|tolerance_px| PosePictures::new(views, &case, tolerance_px));
         let (fine, coarse) = (fine?, coarse?);
         for ((change, fine_picture), coarse_picture) in
             changes.iter_mut().zip(&fine.pictures).zip(&coarse.pictures)
@@ -51,23 +59,15 @@ pub fn measure(views: &mut Views) -> Result<Tolerance, GpuError> {
     Ok(Tolerance { land, mesh, land_light, mesh_light, still, mesh_still })
 }
 
-/// The pictures that are compared: normals and the view.
-const KINDS: [(Normals, Show); 4] = [
-    (Normals::Land, Show::Image),
-    (Normals::Mesh, Show::Image),
-    (Normals::Land, Show::Light),
-    (Normals::Mesh, Show::Light),
-];
-
 /// A pose with one tolerance.
-struct Taken {
+struct PosePictures {
     /// The fourth channel is minus the distance of land.
     ground: Vec<[f32; 4]>,
     /// As [`KINDS`].
     pictures: Vec<Image>,
 }
 
-impl Taken {
+impl PosePictures {
     fn new(views: &mut Views, case: &ViewCase, tolerance_px: f64) -> Result<Self, GpuError> {
         let options = DrawOptions { tolerance_px, ..DrawOptions::IMAGE };
         let ground = views.light(case, DrawOptions { show: Show::Chunks, ..options })?;

@@ -130,3 +130,35 @@ struct Uploaded {
     world: ChunkCache,
     selection: Selection,
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn pictures_of_a_reused_world_equal_those_of_a_new_one() {
+        let land = Land::new(1);
+        let mut reused = match Views::open(land, 2) {
+            Ok(views) => views,
+            Err(error) => {
+                assert!(std::env::var_os("TOMBOLO_REQUIRE_GPU").is_none(), "a GPU is required: {error}");
+                eprintln!("NOT TESTED: {error}");
+                return;
+            }
+        };
+        let [one, other] = [0, 1].map(|index: usize| reused.cases[index]);
+        let low = SunPosition { azimuth_deg: 250.0, elevation_deg: 15.0 };
+        let evening = DrawOptions { sun: low, ..DrawOptions::IMAGE };
+        let coarse = DrawOptions { tolerance_px: 8.0, ..DrawOptions::IMAGE };
+        let image = DrawOptions::IMAGE;
+        let mut pictures = Vec::new();
+        // Another sun, another tolerance or another pose comes before each.
+        for (case, options) in [(one, evening), (one, image), (one, coarse), (other, image), (one, image)] {
+            let new = Views::open(land, 2).unwrap().image(&case, options).unwrap();
+            assert!(reused.image(&case, options).unwrap().rgba == new.rgba, "{case:?}, {options:?}");
+            pictures.push(new.rgba);
+        }
+        assert!(pictures[..4].iter().enumerate().all(|(n, one)| !pictures[..n].contains(one)), "the control");
+        assert!(pictures[4] == pictures[1]);
+    }
+}

@@ -17,14 +17,15 @@ use chromiumoxide::cdp::js_protocol::runtime::{
 use chromiumoxide::page::ScreenshotParams;
 use chromiumoxide::types::MethodId;
 use chromiumoxide::{Command, Method, Page};
-use futures_util::{Stream, StreamExt, stream};
+use futures_util::stream::{self, BoxStream};
+use futures_util::{FutureExt, StreamExt};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicU32, Ordering};
-use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
+use tokio::sync::{Mutex, MutexGuard};
 
 /// Message without a browser.
 pub const MISSING: &str =
@@ -75,19 +76,8 @@ impl Browser {
         let page = self.browser.as_ref().expect("not dropped").new_page("about:blank").await.unwrap();
         page.enable_log().await.unwrap();
         page.enable_runtime().await.unwrap();
-        let recorded = Arc::new(Mutex::new(Recorded::default()));
-        let mut entries = entries(&page).await;
-        let record = Arc::clone(&recorded);
-        tokio::spawn(async move {
-            while let Some(entry) = entries.next().await {
-                let mut recorded = record.lock().unwrap();
-                match entry {
-                    Entry::Error(error) => recorded.errors.push(error),
-                    Entry::Request(url) => recorded.requests.push(url),
-                }
-            }
-        });
-        Tab { page, recorded }
+        let recorded = Recorded { entries: entries(&page).await, errors: Vec::new(), requests: Vec::new() };
+        Tab { page, recorded: Mutex::new(recorded) }
     }
 }
 
@@ -106,8 +96,9 @@ impl Drop for Browser {
 }
 
 /// What a page has done.
-#[derive(Debug, Default)]
 struct Recorded {
+    /// Not yet received.
+    entries: BoxStream<'static, Entry>,
     errors: Vec<String>,
     /// URLs of all network requests.
     requests: Vec<String>,
@@ -116,10 +107,27 @@ struct Recorded {
 enum Entry {
     Error(String),
     Request(String),
+    /// The page has logged [`MARKER`].
+    Marker,
+}
+
+/// Logged by [`Tab::received`].
+const MARKER: &str = "all events so far";
+
+impl Recorded {
+    /// Returns whether it was the marker.
+    fn add(&mut self, entry: Entry) -> bool {
+        match entry {
+            Entry::Error(error) => self.errors.push(error),
+            Entry::Request(url) => self.requests.push(url),
+            Entry::Marker => return true,
+        }
+        false
+    }
 }
 
 /// Errors and requests of a page.
-async fn entries(page: &Page) -> impl Stream<Item = Entry> + Unpin + use<> {
+async fn entries(page: &Page) -> BoxStream<'static, Entry> {
     let exceptions = page.event_listener::<EventExceptionThrown>().await.unwrap();
     let console = page.event_listener::<EventConsoleApiCalled>().await.unwrap();
     let log = page.event_listener::<EventEntryAdded>().await.unwrap();
@@ -127,8 +135,12 @@ async fn entries(page: &Page) -> impl Stream<Item = Entry> + Unpin + use<> {
     let responses = page.event_listener::<EventResponseReceived>().await.unwrap();
     let exceptions = exceptions.map(|event| Some(Entry::Error(format!("{:?}", event.exception_details))));
     let console = console.map(|event| {
-        use ConsoleApiCalledType::{Assert, Error, Warning};
-        matches!(event.r#type, Error | Warning | Assert).then(|| Entry::Error(format!("{:?}", event.args)))
+        use ConsoleApiCalledType::{Assert, Debug, Error, Warning};
+        match event.r#type {
+            Error | Warning | Assert => Some(Entry::Error(format!("{:?}", event.args))),
+            Debug => (event.args.first()?.value.as_ref()? == MARKER).then_some(Entry::Marker),
+            _ => None,
+        }
     });
     let log = log.map(|event| {
         matches!(event.entry.level, LogEntryLevel::Error | LogEntryLevel::Warning)
@@ -140,7 +152,7 @@ async fn entries(page: &Page) -> impl Stream<Item = Entry> + Unpin + use<> {
         (status >= 400).then(|| Entry::Error(format!("{status} {url}")))
     });
     let all = [exceptions.boxed(), console.boxed(), log.boxed(), requests.boxed(), responses.boxed()];
-    stream::select_all(all).filter_map(std::future::ready)
+    stream::select_all(all).filter_map(std::future::ready).boxed()
 }
 
 /// `Input.dispatchTouchEvent` without a finger. The type of the library leaves an empty list out,
@@ -165,7 +177,7 @@ impl Command for TouchEnd {
 /// One page.
 pub struct Tab {
     page: Page,
-    recorded: Arc<Mutex<Recorded>>,
+    recorded: Mutex<Recorded>,
 }
 
 impl Tab {
@@ -219,21 +231,31 @@ impl Tab {
 
     /// Errors since the last call.
     pub async fn take_errors(&self) -> Vec<String> {
-        self.receive_events().await;
-        std::mem::take(&mut self.recorded.lock().unwrap().errors)
+        std::mem::take(&mut self.received().await.errors)
     }
 
     /// URLs of all network requests.
     pub async fn requests(&self) -> Vec<String> {
-        self.receive_events().await;
-        self.recorded.lock().unwrap().requests.clone()
+        self.received().await.requests.clone()
     }
 
-    /// Waits until the events so far are recorded: they come in order, the last ones before the
-    /// answer to this call, and are recorded by another task.
-    async fn receive_events(&self) {
-        self.evaluate("0").await;
-        tokio::time::sleep(POLL_INTERVAL).await;
+    /// Receives the events so far: those before a marker that the page logs now. Each kind has a
+    /// queue of its own, in which earlier ones are when the marker is in its own.
+    async fn received(&self) -> MutexGuard<'_, Recorded> {
+        self.evaluate(&format!("console.debug('{MARKER}')")).await;
+        let mut recorded = self.recorded.lock().await;
+        let marker = async {
+            while let Some(entry) = recorded.entries.next().await {
+                if recorded.add(entry) {
+                    return;
+                }
+            }
+        };
+        tokio::time::timeout(TIMEOUT, marker).await.expect("the browser reports what a page logs");
+        while let Some(Some(entry)) = recorded.entries.next().now_or_never() {
+            recorded.add(entry);
+        }
+        recorded
     }
 
     /// Sets the size of the screen in CSS pixels, and whether it is a phone.
