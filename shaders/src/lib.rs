@@ -1,8 +1,10 @@
-//! The shaders: WGSL passes linked and validated at build time, and the Rust side of their data.
+//! The shaders: linked and validated WGSL passes, and the Rust side of their data.
 //!
 //! `wgsl/shared/` holds modules without bindings, `wgsl/bound/` those over buffers that several
-//! passes read, `wgsl/<verb_noun>.wesl` one pass each. `build.rs` links a pass with the modules it
-//! imports (WESL), validates the result with naga as portable WebGPU and puts it into [`SHADERS`].
+//! passes read, `wgsl/<verb_noun>.wesl` one pass each. `linked/` holds each pass linked with the
+//! modules it imports (WESL), and [`SHADERS`] is made of those files. A test links the passes,
+//! validates them with naga as portable WebGPU and compares them with `linked/`; after a change
+//! `cargo xtask bless shaders --write` writes them.
 //!
 //! Excluded from this crate: a GPU API (nothing here depends on wgpu), reading files at run time,
 //! and native-only shader features.
@@ -13,6 +15,8 @@
 #![forbid(unsafe_code)]
 
 pub mod layout;
+#[rustfmt::skip]
+mod passes;
 pub mod twin;
 #[cfg(test)]
 mod validate;
@@ -48,9 +52,11 @@ pub enum Stage {
     Compute,
 }
 
-include!(concat!(env!("OUT_DIR"), "/shaders.rs"));
+pub use passes::{SHADERS, Shaders};
 
 #[cfg(test)]
 mod limits;
+#[cfg(test)]
+mod linker;
 #[cfg(test)]
 mod tests;

@@ -1,7 +1,4 @@
 //! The one gate that every shader passes: naga, restricted to what WebGPU promises everywhere.
-//!
-//! Compiled twice, into the build script and into the tests, so that the check that a build relies
-//! on is the check that the tests prove able to fail.
 
 use naga::valid::{Capabilities, ModuleInfo, ValidationFlags, Validator};
 

@@ -16,6 +16,8 @@ pub enum What {
     Pictures,
     /// The table of shader resources
     Resources,
+    /// The linked shaders
+    Shaders,
 }
 
 /// The folder of the fixtures. Its folders `version_N` hold those of older versions.
@@ -39,11 +41,14 @@ type Contents = BTreeMap<String, String>;
 pub fn run(what: What, writes: bool) -> Result<()> {
     let before = fixtures(&process::root().join(FIXTURES))?;
     let tests = || {
-        let mut tests = process::cargo("nextest run --workspace --no-fail-fast -E");
+        // The package alone where others may need a new pass to compile.
+        let packages = if what == What::Shaders { "--package tombolo-shaders" } else { "--workspace" };
+        let mut tests = process::cargo(&format!("nextest run {packages} --no-fail-fast -E"));
         tests.arg(match what {
             What::Fixtures => "package(tombolo-protocol) & binary(fixtures)",
             What::Pictures => "binary(/pictures/)",
             What::Resources => "package(tombolo-shaders) & test(the_table_of_resources_is_current)",
+            What::Shaders => "package(tombolo-shaders) & test(the_linked_passes_are_current)",
         });
         tests
     };

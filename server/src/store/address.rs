@@ -44,6 +44,13 @@ impl StoreAddress {
         if !SCHEMES.contains(&url.scheme()) {
             return Err(format!("`{}` is not known; {help}", url.scheme()));
         }
+        if url.scheme() != "file" && cfg!(not(feature = "object-stores")) {
+            return Err(format!(
+                "this server was built without {}; build it with the feature `object-stores`, or give \
+                 file:///FOLDER",
+                url.scheme()
+            ));
+        }
         if !url.username().is_empty() || url.password().is_some() || url.query().is_some() {
             return Err(
                 "credentials belong into the environment, such as AWS_ACCESS_KEY_ID, not into the URL".into(),

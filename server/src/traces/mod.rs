@@ -11,12 +11,20 @@
 //! Without `--otlp` a job reads the current span of its thread and finds none.
 
 mod config;
+#[cfg(feature = "traces")]
 mod export;
+#[cfg(feature = "traces")]
 mod parent;
+#[cfg(not(feature = "traces"))]
+mod without;
 
 pub use config::{TARGET, TraceConfig};
+#[cfg(feature = "traces")]
 pub use export::{Exporter, layer};
+#[cfg(feature = "traces")]
 pub use parent::Parent;
+#[cfg(not(feature = "traces"))]
+pub use without::{Exporter, Parent, layer};
 
 use protocol::Delivery;
 use std::fmt;
@@ -168,7 +176,7 @@ macro_rules! part {
 }
 pub(crate) use part;
 
-#[cfg(test)]
+#[cfg(all(test, feature = "traces"))]
 mod tests {
     use super::*;
 

@@ -36,7 +36,6 @@ const MEASURED: [(&str, &[&str]); 18] = [
             "lab/src/codec/samples.rs",
             "benches/noise-comparison",
             "xtask/src/measure/heightfield.rs",
-            "shaders/build.rs",
             "shaders/wgsl/probe_heights.wesl",
             "shaders/wgsl/probe_heights_float.wesl",
             "shaders/wgsl/shared/base.wesl",

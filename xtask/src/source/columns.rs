@@ -10,10 +10,11 @@ pub const LIMIT_CODE: usize = 110;
 
 /// Lines over [`LIMIT`] or [`LIMIT_CODE`] in Rust, WESL and Markdown. Table rows, links that are a
 /// line of their own and records of measurements are exempt: a table and a link cannot be wrapped,
-/// and programs write the records, from the notes beside them among others.
+/// and programs write the records, from the notes beside them among others. A program writes the
+/// WGSL too.
 pub fn check(files: &Files) -> Vec<Finding> {
     let mut found = Vec::new();
-    for (path, text) in files.with_extension(&["rs", "wesl", "wgsl", "md"]) {
+    for (path, text) in files.with_extension(&["rs", "wesl", "md"]) {
         let is_markdown = path.ends_with(".md");
         let is_record = path.starts_with("docs/measurements/") && !path.contains("/notes/");
         if is_markdown && is_record {

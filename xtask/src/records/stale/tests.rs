@@ -161,7 +161,7 @@ fn imported(shader: &str, found: &mut BTreeSet<String>) {
     let text = std::fs::read_to_string(process::root().join(shader)).unwrap();
     for line in text.lines().filter_map(|line| line.strip_prefix("import package::shared::")) {
         let module = line.split("::").next().unwrap();
-        // The constants are written by the build.
+        // The constants are written by the linker.
         let path = format!("shaders/wgsl/shared/{module}.wesl");
         if module != "constants" && found.insert(path.clone()) {
             imported(&path, found);

@@ -1,0 +1,895 @@
+struct ChunkFill {
+    x: i32,
+    z: i32,
+    spacing_bits: u32,
+    octaves: u32
+}
+
+@group(0) @binding(0)
+var<storage, read> world: World;
+
+@group(0) @binding(1)
+var<storage, read> chunks: array<ChunkFill>;
+
+@group(0) @binding(2)
+var<storage, read_write> nodes: array<vec2i>;
+
+@group(0) @binding(3)
+var<storage, read_write> heights: array<i32>;
+
+@group(0) @binding(4)
+var<storage, read_write> pyramids: array<i32>;
+
+const FILL_NODES: u32 = 4356u;
+
+fn node_columns(chunk: ChunkFill) -> u32 {
+    if splined(chunk.octaves) {
+        return ((CELLS << chunk.spacing_bits) >> SPLINE_CELL_BITS) + 2u;
+    }
+    return VERTICES;
+}
+
+fn vertex_position(chunk: ChunkFill, column: u32, row: u32) -> vec2i {
+    let offset = vec2u(column, row) << vec2u(chunk.spacing_bits);
+    return vec2i(chunk.x, chunk.z) + bitcast<vec2i>(offset);
+}
+
+@compute @workgroup_size(64)
+fn fill_nodes(@builtin(global_invocation_id) invocation: vec3u) {
+    let chunk = chunks[invocation.y];
+    let columns = node_columns(chunk);
+    if invocation.x >= columns * columns {
+        return;
+    }
+    let column = invocation.x % columns;
+    let row = invocation.x / columns;
+    var place = vertex_position(chunk, column, row);
+    if splined(chunk.octaves) {
+        place = vec2i(spline_node(spline_cell(chunk.x) - 1 + bitcast<i32>(column)), spline_node(spline_cell(chunk.z) - 1 + bitcast<i32>(row)));
+    }
+    let node = base_at(world.lattice_seeds, world.archipelago_seed, place.x, place.y, base_octaves(chunk.octaves));
+    nodes[invocation.y * FILL_NODES + invocation.x] = vec2i(node.height, node.roughness | (node.exposure << 16u));
+}
+
+fn stored_node(chunk: u32, columns: u32, column: u32, row: u32) -> BaseNode {
+    let words = nodes[chunk * FILL_NODES + row * columns + column];
+    return BaseNode(words.x, words.y & 65535, words.y >> 16u);
+}
+
+fn splined_column(chunk: u32, columns: u32, column: u32, row: u32, t: i32) -> BaseNode {
+    return splined_node(stored_node(chunk, columns, column, row), stored_node(chunk, columns, column, row + 1u), stored_node(chunk, columns, column, min(row + 2u, columns - 1u)), t);
+}
+
+@compute @workgroup_size(64)
+fn fill_heights(@builtin(global_invocation_id) invocation: vec3u) {
+    let vertex = invocation.x;
+    if vertex >= VERTEX_COUNT {
+        return;
+    }
+    let index = invocation.y;
+    let chunk = chunks[index];
+    let columns = node_columns(chunk);
+    let place = vertex_position(chunk, vertex % VERTICES, vertex / VERTICES);
+    var node: BaseNode;
+    if splined(chunk.octaves) {
+        let column = bitcast<u32>(spline_cell(place.x) - spline_cell(chunk.x));
+        let row = bitcast<u32>(spline_cell(place.y) - spline_cell(chunk.z));
+        let t = spline_fraction(place.y);
+        node = splined_node(splined_column(index, columns, column, row, t), splined_column(index, columns, column + 1u, row, t), splined_column(index, columns, min(column + 2u, columns - 1u), row, t), spline_fraction(place.x));
+    }
+    else {
+        node = stored_node(index, columns, vertex % VERTICES, vertex / VERTICES);
+    }
+    heights[index * VERTEX_COUNT + vertex] = height_over(world, node, place.x, place.y, chunk.octaves);
+}
+
+struct Bounds {
+    upper: i32,
+    lower: i32
+}
+
+fn joined(a: Bounds, b: Bounds) -> Bounds {
+    return Bounds(max(a.upper, b.upper), min(a.lower, b.lower));
+}
+
+fn cell_bounds(chunk: u32, column: u32, row: u32) -> Bounds {
+    let first = chunk * VERTEX_COUNT + row * VERTICES + column;
+    let near = vec2i(heights[first], heights[first + 1u]);
+    let far = vec2i(heights[first + VERTICES], heights[first + VERTICES + 1u]);
+    return Bounds(max(max(near.x, near.y), max(far.x, far.y)), min(min(near.x, near.y), min(far.x, far.y)));
+}
+
+fn write_bounds(chunk: u32, level: u32, column: u32, row: u32, bounds: Bounds) {
+    let side = CELLS >> level;
+    let first_of_level = PYRAMID_TEXELS - (4u * side * side - 1u) / 3u;
+    let index = 2u * chunk * PYRAMID_TEXELS + first_of_level + row * side + column;
+    pyramids[index] = bounds.upper;
+    pyramids[index + PYRAMID_TEXELS] = bounds.lower;
+}
+
+const BLOCKS: u32 = 16u;
+
+const FIRST_SHARED_LEVEL: u32 = 3u;
+
+const LAST_LEVEL: u32 = 6u;
+
+var<workgroup> blocks: array<Bounds, 256>;
+
+@compute @workgroup_size(256)
+fn fill_pyramids(@builtin(local_invocation_index) index: u32, @builtin(workgroup_id) group: vec3u) {
+    let chunk = group.x;
+    let block_column = index % BLOCKS;
+    let block_row = index / BLOCKS;
+    var block = Bounds(-2147483647 - 1, 2147483647);
+    for (var quad = 0u; quad < 4u; quad++) {
+        let quad_column = 2u * block_column + (quad & 1u);
+        let quad_row = 2u * block_row + (quad >> 1u);
+        var four = Bounds(-2147483647 - 1, 2147483647);
+        for (var cell = 0u; cell < 4u; cell++) {
+            let column = 2u * quad_column + (cell & 1u);
+            let row = 2u * quad_row + (cell >> 1u);
+            let bounds = cell_bounds(chunk, column, row);
+            write_bounds(chunk, 0u, column, row, bounds);
+            four = joined(four, bounds);
+        }
+        write_bounds(chunk, 1u, quad_column, quad_row, four);
+        block = joined(block, four);
+    }
+    write_bounds(chunk, 2u, block_column, block_row, block);
+    blocks[index] = block;
+    for (var level = FIRST_SHARED_LEVEL; level <= LAST_LEVEL; level++) {
+        let side = CELLS >> level;
+        let column = index % side;
+        let row = index / side;
+        workgroupBarrier();
+        var merged = block;
+        if row < side {
+            let first = 4u * row * side + 2u * column;
+            let near = joined(blocks[first], blocks[first + 1u]);
+            let far = joined(blocks[first + 2u * side], blocks[first + 2u * side + 1u]);
+            merged = joined(near, far);
+            write_bounds(chunk, level, column, row, merged);
+        }
+        workgroupBarrier();
+        if row < side {
+            blocks[index] = merged;
+        }
+    }
+}
+
+const ALMOST_ONE_Q30: i32 = (1 << 30u) - 1;
+
+const BASE_CELL_BITS: u32 = 21u;
+
+const BASE_OCTAVES: u32 = 4u;
+
+const BASE_OF_SEA: BaseNode = BaseNode(-(SEA_FLOOR_M << FINE_BITS), 0, 0);
+
+const BASE_STREAM: u32 = 16u;
+
+const BEACH_BITS: u32 = u32(countTrailingZeros(BEACH_M));
+
+const BEACH_EDGE: i32 = BEACH_M << FINE_BITS;
+
+const BEACH_M: i32 = 8;
+
+struct BaseNode {
+    height: i32,
+    roughness: i32,
+    exposure: i32
+}
+
+const CELLS: u32 = 64u;
+
+const CLIFF_FOOT_M: i32 = 2;
+
+const CLIFF_M: i32 = 34;
+
+const CRATER_Q26: i32 = 15 << 22u;
+
+struct Corner {
+    value: i32,
+    gradient: vec2i
+}
+
+const EXPOSURE_CELL_BITS: u32 = 21u;
+
+const EXPOSURE_STREAM: u32 = 24u;
+
+struct Edge {
+    slope: i32,
+    value: i32
+}
+
+const FINE_BITS: u32 = 16u;
+
+const FINE_OCTAVES: u32 = 5u;
+
+const FIRST_AMPLITUDE_BITS: u32 = 4u;
+
+const FIRST_CELL_BITS: u32 = 15u;
+
+const FRACTION_BITS: u32 = 15u;
+
+const GRADIENTS = array<vec2i, 32>(vec2i(32610, 3212), vec2i(31357, 9512), vec2i(28899, 15447), vec2i(25330, 20788), vec2i(20788, 25330), vec2i(15447, 28899), vec2i(9512, 31357), vec2i(3212, 32610), vec2i(-3212, 32610), vec2i(-9512, 31357), vec2i(-15447, 28899), vec2i(-20788, 25330), vec2i(-25330, 20788), vec2i(-28899, 15447), vec2i(-31357, 9512), vec2i(-32610, 3212), vec2i(-32610, -3212), vec2i(-31357, -9512), vec2i(-28899, -15447), vec2i(-25330, -20788), vec2i(-20788, -25330), vec2i(-15447, -28899), vec2i(-9512, -31357), vec2i(-3212, -32610), vec2i(3212, -32610), vec2i(9512, -31357), vec2i(15447, -28899), vec2i(20788, -25330), vec2i(25330, -20788), vec2i(28899, -15447), vec2i(31357, -9512), vec2i(32610, -3212));
+
+const HALF_Q15: i32 = 1 << 14u;
+
+const HOME_LOBE_M: i32 = 5000;
+
+const INLAND_REACH: i32 = (1 << 23u) - 1;
+
+const ISLAND_CELL_BITS: u32 = 21u;
+
+const ISLAND_REACH: i32 = 346;
+
+struct Island {
+    kind: u32,
+    home: bool,
+    middle: vec2i,
+    radius_m: i32,
+    height: i32,
+    draws: u32
+}
+
+const KIND_ATOLL: u32 = 6u;
+
+const KIND_GROUP: u32 = 2u;
+
+const KIND_NONE: u32 = 0u;
+
+const KIND_PLATEAU: u32 = 4u;
+
+const KIND_SINGLE: u32 = 1u;
+
+const KIND_SKERRIES: u32 = 3u;
+
+const KIND_VOLCANO: u32 = 5u;
+
+const LATTICES: u32 = 9u;
+
+struct Lattice {
+    seed: u32,
+    stream: u32,
+    bits: u32
+}
+
+struct LatticePlace {
+    cell: i32,
+    fraction: i32
+}
+
+struct Lobe {
+    centre: vec2i,
+    long: vec2i,
+    short: vec2i,
+    mass: vec2i,
+    height: i32,
+    plateau: u32,
+    crater: bool
+}
+
+struct LobeRange {
+    distance: vec2i,
+    long: vec2i,
+    short: vec2i
+}
+
+const MOUNTAIN_M: i32 = 704;
+
+const OCTAVE_SHIFT = array<vec2i, 5>(vec2i(9472, 23808), vec2i(12032, 7424), vec2i(2816, 4864), vec2i(1792, 1280), vec2i(768, 256));
+
+const OFFSET_LIMIT: i32 = 1 << 29u;
+
+const PYRAMID_TEXELS: u32 = 5461u;
+
+const REST_OF_SEA: Rest = Rest(ALMOST_ONE_Q30, ALMOST_ONE_Q30);
+
+const RIM_M: i32 = 80;
+
+const ROUGHEST: i32 = (1 << 29u) - (1 << 14u);
+
+struct Rest {
+    mass: i32,
+    height: i32
+}
+
+const SEA_FLOOR_M: i32 = 64;
+
+const SHORE_M: vec4i = vec4i(64, 64, 80, 128);
+
+const SHORE_REACH: i32 = (1 << 23u) - 1;
+
+const SPLINE_CELL_BITS: u32 = 13u;
+
+const STEEPEST: i32 = 13421772;
+
+struct Sample {
+    value: i32,
+    gradient: vec2i
+}
+
+const TWO_Q24: i32 = 2 << 24u;
+
+const UNIT_BITS: u32 = 8u;
+
+const UPLIFT_M: i32 = 384;
+
+const VERTEX_COUNT: u32 = 4225u;
+
+const VERTICES: u32 = 65u;
+
+const WARP_AMPLITUDE_M: vec2i = vec2i(1800, 600);
+
+const WARP_CELL_BITS: vec2u = vec2u(22u, 20u);
+
+const WARP_M: i32 = 1698;
+
+const WARP_STREAM: u32 = 20u;
+
+struct Weights {
+    line: vec2i,
+    step: vec2i
+}
+
+struct World {
+    fine_seeds: array<u32, FINE_OCTAVES>,
+    lattice_seeds: array<u32, LATTICES>,
+    archipelago_seed: u32
+}
+
+fn axis_squared(axis: vec2i, place: vec2i) -> i32 {
+    let along_q24 = mul_hi(place.x, axis.x) + mul_hi(place.y, axis.y);
+    let clamped_q29 = clamp(along_q24, -TWO_Q24, TWO_Q24) << 5u;
+    return mul_hi(clamped_q29, clamped_q29);
+}
+
+fn base_at(lattice_seeds: array<u32, LATTICES>, archipelago_seed: u32, x: i32, z: i32, octaves: u32) -> BaseNode {
+    if !is_near_land(archipelago_seed, x, z) {
+        return BASE_OF_SEA;
+    }
+    let rest = rest_at(archipelago_seed, x, z, warp_at(lattice_seeds, x, z));
+    let mass = ALMOST_ONE_Q30 - rest.mass;
+    let height = ALMOST_ONE_Q30 - rest.height;
+    if mass == 0 {
+        return BASE_OF_SEA;
+    }
+    var seeds = lattice_seeds;
+    let exposed = Lattice(seeds[EXPOSURE_STREAM - BASE_STREAM], EXPOSURE_STREAM, EXPOSURE_CELL_BITS);
+    let exposure = clamp(3 * sample_at(exposed, x, z).value - (1 << 24u), 0, 1 << 29u);
+    let ruggedness = (3 << 28u) + exposure;
+    var shore = shore_of(mass);
+    var wide_shore = shore;
+    var relief = 0;
+    var slope = vec2i(0);
+    var calm = ALMOST_ONE_Q30;
+    for (var index = 0u; index < octaves; index++) {
+        let octave = Lattice(seeds[index], BASE_STREAM + index, BASE_CELL_BITS - index);
+        let sample = sample_at(octave, x, z);
+        let back = turned_back(octave, sample.gradient) >> vec2u(2u);
+        let value = sample.value;
+        let folds = index > 0u;
+        slope += back + select(vec2i(0), back >> vec2u(1u), folds);
+        calm = calmness(slope);
+        let size = abs(value);
+        let folded = select(value, (3 << 26u) - (size + (size >> 1u)), folds);
+        relief += mul_hi(folded, damping(calm)) >> index;
+        if index <= 1u {
+            shore += mul_hi(value, select(SHORE_M[1], SHORE_M[0], index == 0u) << 19u);
+        }
+        else if index == 2u {
+            shore += mul_hi(value, mul_hi(SHORE_M[2] << 21u, ruggedness));
+        }
+        else {
+            let amplitude = mul_hi(SHORE_M[3] << 21u, ruggedness);
+            let near = window(clamp(shore, -SHORE_REACH, SHORE_REACH) << 7u);
+            shore += mul_hi(mul_hi(value, near) << 2u, amplitude);
+        }
+        if index <= 2u {
+            wide_shore = shore;
+        }
+    }
+    let inland = smooth_step(clamp(wide_shore - (8 << FINE_BITS), 0, INLAND_REACH) << 7u);
+    let share = mul_hi(height << 1u, inland << 1u);
+    let risen = max((13 << 20u) + ((relief * 11) >> 3u), 0) + (5 << 20u);
+    let mountain = mul_hi(mul_hi(share << 1u, risen) << 5u, MOUNTAIN_M << 19u);
+    let sum = max(lowland(shore) + mountain + (SEA_FLOOR_M << FINE_BITS), 0);
+    let rim = min(mass, (1 << 27u) - 1) << 3u;
+    var raised = sum;
+    if mass < (1 << 27u) {
+        raised = mul_hi(sum << 2u, smooth_step(rim));
+    }
+    return BaseNode(raised - (SEA_FLOOR_M << FINE_BITS), roughness_of(shore, exposure, rim, height, inland, calm), min(exposure >> 14u, (1 << 15u) - 1));
+}
+
+fn base_octaves(octaves: u32) -> u32 {
+    return min(octaves, BASE_OCTAVES);
+}
+
+fn beach(fine: i32) -> i32 {
+    if abs(fine) >= BEACH_EDGE {
+        return fine;
+    }
+    let r = fine << (31u - FINE_BITS - BEACH_BITS);
+    let r2 = mul_hi(r, r) << 1u;
+    let r4 = mul_hi(r2, r2) << 1u;
+    let slope_q29 = 107374182 + mul_hi(r2, 1717986918) - mul_hi(r4, 858993459);
+    return mul_hi(fine << 3u, slope_q29);
+}
+
+fn calmness(slope: vec2i) -> i32 {
+    let steepness = mul_hi(slope.x, slope.x) + mul_hi(slope.y, slope.y);
+    return max(STEEPEST - steepness, 0) * 80;
+}
+
+fn cliff(fine: i32) -> i32 {
+    let x = clamp(fine + (CLIFF_FOOT_M << FINE_BITS), 0, BEACH_EDGE - 1);
+    return mul_hi(smooth_step(x << (30u - FINE_BITS - BEACH_BITS)), CLIFF_M << (FINE_BITS + 2u));
+}
+
+fn coast(raw: i32, exposure: i32) -> i32 {
+    let low = beach(raw);
+    let difference = raw + cliff(raw) - low;
+    return round_to_units(low + mul_hi(difference << 8u, exposure << 9u));
+}
+
+fn corner(seed: u32, cell: vec2u, x: i32, z: i32) -> Corner {
+    let gradient = direction(hash2(seed, bitcast<i32>(cell.x), bitcast<i32>(cell.y))) << vec2u(14u);
+    return Corner(mul_hi(gradient.x << 1u, x) + mul_hi(gradient.y << 1u, z), gradient);
+}
+
+fn damping(calm: i32) -> i32 {
+    let squared = mul_hi(calm, calm);
+    return squared - (squared >> 3u) + (1 << 25u);
+}
+
+fn direction(word: u32) -> vec2i {
+    return gradients[word >> 27u];
+}
+
+fn draw_between(draws: ptr<function, u32>, low: i32, high: i32) -> i32 {
+    return low + bitcast<i32>(mul_hi_u(draw_word(draws), bitcast<u32>(high - low + 1)));
+}
+
+fn draw_word(draws: ptr<function, u32>) -> u32 {
+    let word = mix_bits(*draws + 2654435769u);
+    *draws = word;
+    return word;
+}
+
+fn edge(above: vec2i, below: vec2i, down: Weights) -> Edge {
+    let slope = above.x * down.step.x + below.x * down.step.y;
+    let value = above.y * down.line.x + below.y * down.line.y;
+    return Edge((slope + HALF_Q15) >> 15u, (value + HALF_Q15) >> 15u);
+}
+
+fn fade(t: i32) -> i32 {
+    let t2 = mul_hi(t, t) << 1u;
+    let t3 = mul_hi(t2, t) << 1u;
+    let inner_q27 = (10 << 27u) - 15 * (t >> 4u) + 6 * (t2 >> 4u);
+    return mul_hi(t3, inner_q27) << 5u;
+}
+
+fn fade_slope(t: i32) -> i32 {
+    let product_q31 = mul_hi(t, 2147483647 - t) << 1u;
+    let four_q31 = product_q31 << 2u;
+    return 15 * (mul_hi(four_q31, four_q31) >> 4u);
+}
+
+fn falloff(lobe: Lobe, place: vec2i) -> i32 {
+    return max((1 << 26u) - 1 - axis_squared(lobe.long, place) - axis_squared(lobe.short, place), 0);
+}
+
+fn fbm_at(fine_seeds: array<u32, FINE_OCTAVES>, x: i32, z: i32, octaves: u32) -> i32 {
+    var seeds = fine_seeds;
+    var sum = 0;
+    for (var octave = 0u; octave < octaves; octave++) {
+        let shift = octave_shifts[octave];
+        let at_x = lattice_place(octave, x + shift.x);
+        let at_z = lattice_place(octave, z + shift.y);
+        let seed = seeds[octave];
+        let down = weights(at_z.fraction);
+        let low = edge(gradient(seed, at_x.cell, at_z.cell), gradient(seed, at_x.cell, at_z.cell + 1), down);
+        let high = edge(gradient(seed, at_x.cell + 1, at_z.cell), gradient(seed, at_x.cell + 1, at_z.cell + 1), down);
+        sum += value(low, high, weights(at_x.fraction)) >> fine_shift(octave);
+    }
+    return sum;
+}
+
+fn fine_octaves(octaves: u32) -> u32 {
+    return octaves - base_octaves(octaves);
+}
+
+fn fine_shift(octave: u32) -> u32 {
+    return 31u - FINE_BITS - FIRST_AMPLITUDE_BITS + octave;
+}
+
+fn gradient(seed: u32, cell_x: i32, cell_z: i32) -> vec2i {
+    return direction(hash2(seed, cell_x, cell_z));
+}
+
+var<private> gradients: array<vec2i, 32> = GRADIENTS;
+
+fn hash2(seed: u32, x: i32, z: i32) -> u32 {
+    return mix_bits(mix_bits(seed ^ (bitcast<u32>(x) * 2654435769u)) + bitcast<u32>(z) * 2246822507u);
+}
+
+fn height_over(world: World, node: BaseNode, x: i32, z: i32, octaves: u32) -> i32 {
+    var fine = 0;
+    if node.roughness != 0 {
+        fine = fbm_at(world.fine_seeds, x, z, fine_octaves(octaves));
+    }
+    return coast(node.height + mul_hi(fine << 9u, node.roughness << 8u), node.exposure);
+}
+
+fn is_low(lattice: Lattice) -> bool {
+    return (lattice.stream & 1u) == 0u;
+}
+
+fn is_near_land(archipelago_seed: u32, x: i32, z: i32) -> bool {
+    let middle = vec2i(island_cell(x), island_cell(z));
+    for (var index = 0; index < 9; index++) {
+        if may_reach(island_of(archipelago_seed, middle + near_cell(index)), x, z) {
+            return true;
+        }
+    }
+    return false;
+}
+
+fn island_cell(coordinate: i32) -> i32 {
+    return (coordinate + (1 << (ISLAND_CELL_BITS - 1u))) >> ISLAND_CELL_BITS;
+}
+
+fn island_kind(hash: u32, cell: vec2i) -> u32 {
+    if all(cell == vec2i(0)) {
+        return KIND_SINGLE;
+    }
+    let beside_home = all(abs(cell) <= vec2i(1));
+    if (hash & 15u) >= 7u || (beside_home && (hash & 1u) == 0u) {
+        return KIND_NONE;
+    }
+    let drawn = (hash >> 4u) & 15u;
+    if drawn <= 3u {
+        return KIND_SINGLE;
+    }
+    if drawn <= 6u {
+        return KIND_GROUP;
+    }
+    if drawn <= 8u {
+        return KIND_SKERRIES;
+    }
+    if drawn <= 11u {
+        return KIND_PLATEAU;
+    }
+    return select(KIND_ATOLL, KIND_VOLCANO, drawn <= 13u);
+}
+
+fn island_of(seed: u32, cell: vec2i) -> Island {
+    let hash = hash2(seed, cell.x, cell.y);
+    let home = all(cell == vec2i(0));
+    var draws = hash;
+    let size = draw_between(&draws, 0, 255);
+    let jitter_x = draw_between(&draws, -1792, 1792);
+    let jitter_z = draw_between(&draws, -1792, 1792);
+    let drawn_height = draw_between(&draws, 90, 255);
+    let part = select(108 + ((size * size * 148) >> 16u), 256, home);
+    let jitter = select(vec2i(jitter_x, jitter_z) << vec2u(9u), vec2i(0), home);
+    let middle = (cell << vec2u(ISLAND_CELL_BITS)) + jitter;
+    let height = select(drawn_height, 192, home);
+    return Island(island_kind(hash, cell), home, middle, (HOME_LOBE_M * part) >> 8u, height, draws);
+}
+
+fn lattice_place(octave: u32, shifted: i32) -> LatticePlace {
+    let cell_bits = FIRST_CELL_BITS - octave;
+    let inside = shifted & ((1 << cell_bits) - 1);
+    return LatticePlace(shifted >> cell_bits, inside << (FRACTION_BITS - cell_bits));
+}
+
+fn lerp(a: i32, b: i32, t_q31: i32) -> i32 {
+    return a + (mul_hi(b - a, t_q31) << 1u);
+}
+
+fn lobe_axis(axis: vec2i, length_m: i32) -> vec2i {
+    let inverse_q39 = bitcast<i32>((2147483648u / bitcast<u32>(length_m)) << 8u);
+    return vec2i(mul_hi(axis.x << 16u, inverse_q39), mul_hi(axis.y << 16u, inverse_q39));
+}
+
+fn lobe_count(kind: u32) -> u32 {
+    switch kind {
+        case KIND_SINGLE, KIND_SKERRIES {
+            return 3u;
+        }
+        case KIND_GROUP {
+            return 4u;
+        }
+        case KIND_PLATEAU, KIND_VOLCANO {
+            return 2u;
+        }
+        case KIND_ATOLL {
+            return 1u;
+        }
+        case default {
+            return 0u;
+        }
+    }
+}
+
+fn lobe_offset(coordinate: i32, centre: i32, warp_q16: i32) -> i32 {
+    let units = clamp(coordinate - centre, -(OFFSET_LIMIT >> 8u), OFFSET_LIMIT >> 8u);
+    return clamp((units << 8u) + warp_q16, -OFFSET_LIMIT, OFFSET_LIMIT - 1) << 2u;
+}
+
+fn lobe_range(kind: u32, first: bool) -> LobeRange {
+    if kind == KIND_GROUP {
+        return LobeRange(vec2i(115, 179), vec2i(77, 159), vec2i(56, 108));
+    }
+    if kind == KIND_VOLCANO && first {
+        return LobeRange(vec2i(0), vec2i(179, 189), vec2i(166, 179));
+    }
+    if kind == KIND_ATOLL {
+        return LobeRange(vec2i(0), vec2i(192, 230), vec2i(159, 192));
+    }
+    if first {
+        return LobeRange(vec2i(13), vec2i(159, 243), vec2i(123, 174));
+    }
+    return LobeRange(vec2i(77, 141), vec2i(102, 205), vec2i(72, 128));
+}
+
+fn lowland(shore: i32) -> i32 {
+    if shore < 0 {
+        return (shore >> 5u) + (shore >> 1u);
+    }
+    let near = min(shore, (1 << 21u) - 1);
+    return (shore >> 5u) + (near >> 1u) - (square(near << 9u) >> 11u);
+}
+
+fn may_reach(island: Island, x: i32, z: i32) -> bool {
+    let reach = (((ISLAND_REACH * island.radius_m) >> 8u) + WARP_M) << UNIT_BITS;
+    let away = abs(vec2i(x, z) - island.middle);
+    return island.kind != KIND_NONE && max(away.x, away.y) <= reach;
+}
+
+fn mix_bits(seed: u32) -> u32 {
+    var h = seed;
+    h ^= h >> 16u;
+    h *= 569420461u;
+    h ^= h >> 15u;
+    h *= 3545902487u;
+    return h ^ (h >> 15u);
+}
+
+fn mul_hi(a: i32, b: i32) -> i32 {
+    let product = bitcast<i32>(mul_hi_u(bitcast<u32>(a), bitcast<u32>(b)));
+    return product - ((a >> 31u) & b) - ((b >> 31u) & a);
+}
+
+fn mul_hi_u(a: u32, b: u32) -> u32 {
+    let a_low = a & 65535u;
+    let a_high = a >> 16u;
+    let b_low = b & 65535u;
+    let b_high = b >> 16u;
+    let first = a_high * b_low + ((a_low * b_low) >> 16u);
+    let second = a_low * b_high + (first & 65535u);
+    return a_high * b_high + (first >> 16u) + (second >> 16u);
+}
+
+fn narrow(wide: vec2i) -> vec2i {
+    return (wide + (1 << 7u)) >> vec2u(8u);
+}
+
+fn near_cell(index: i32) -> vec2i {
+    let row = select(select(1, 0, index < 6), -1, index < 3);
+    return vec2i(index - 3 * row - 4, row);
+}
+
+fn next_lobe(island: Island, first: bool, draws: ptr<function, u32>) -> Lobe {
+    let kind = island.kind;
+    let away = direction(draw_word(draws));
+    let axis = direction(draw_word(draws));
+    let range = lobe_range(kind, first);
+    var distance = range.distance.x;
+    if range.distance.x < range.distance.y {
+        distance = draw_between(draws, range.distance.x, range.distance.y);
+    }
+    let long = draw_between(draws, range.long.x, range.long.y);
+    let short = draw_between(draws, range.short.x, range.short.y);
+    let share = draw_between(draws, 77, 256);
+    let lengths = (vec3i(distance, long, short) * island.radius_m) >> vec3u(8u);
+    var height = island.height;
+    var plateau = 0u;
+    var mass = vec2i(8, 0);
+    if kind == KIND_SKERRIES {
+        height = 10;
+        mass = vec2i(3, 0);
+    }
+    else if kind == KIND_ATOLL {
+        height = 5;
+        mass = vec2i(40, -48);
+    }
+    else if kind == KIND_PLATEAU {
+        height = select((height * 179) >> 8u, 108, height < 154);
+        plateau = 2u;
+        mass = vec2i(16, -8);
+    }
+    else if kind == KIND_VOLCANO && first {
+        height = max(height, 179);
+        mass = vec2i(16, -8);
+    }
+    else if !first {
+        height = (height * share) >> 8u;
+    }
+    else if kind == KIND_SINGLE && island.home {
+        mass = vec2i(16, -8);
+    }
+    let offset = (away * lengths.x) >> vec2u(15u - UNIT_BITS);
+    return Lobe(island.middle + offset, lobe_axis(axis, lengths.y), lobe_axis(vec2i(-axis.y, axis.x), lengths.z), mass, height, plateau, kind == KIND_VOLCANO && first);
+}
+
+var<private> octave_shifts: array<vec2i, FINE_OCTAVES> = OCTAVE_SHIFT;
+
+fn rest_after(before: Rest, lobe: Lobe, x: i32, z: i32, warp: vec2i) -> Rest {
+    let u = falloff(lobe, vec2i(lobe_offset(x, lobe.centre.x, warp.x), lobe_offset(z, lobe.centre.y, warp.y)));
+    if u == 0 {
+        return before;
+    }
+    let s = square(u << 4u);
+    let inner_q27 = (lobe.mass.x << 24u) + lobe.mass.y * (s >> 6u);
+    let mass_q26 = clamp(mul_hi(s << 1u, inner_q27), 0, (1 << 26u) - 1);
+    var top = min(s, ALMOST_ONE_Q30 >> lobe.plateau) << lobe.plateau;
+    if lobe.crater {
+        let w = max(u - CRATER_Q26, 0) << 8u;
+        top -= (square(w) >> 4u) * 7;
+    }
+    let height_q30 = (top >> 8u) * lobe.height;
+    return Rest(before.mass - (mul_hi(before.mass, mass_q26 << 5u) << 1u), before.height - (mul_hi(before.height, height_q30 << 1u) << 1u));
+}
+
+fn rest_at(archipelago_seed: u32, x: i32, z: i32, warp: vec2i) -> Rest {
+    let middle = vec2i(island_cell(x), island_cell(z));
+    var rest = REST_OF_SEA;
+    for (var index = 0; index < 9; index++) {
+        let island = island_of(archipelago_seed, middle + near_cell(index));
+        if may_reach(island, x, z) {
+            var draws = island.draws;
+            for (var lobe = 0u; lobe < lobe_count(island.kind); lobe++) {
+                rest = rest_after(rest, next_lobe(island, lobe == 0u, &draws), x, z, warp);
+            }
+        }
+    }
+    return rest;
+}
+
+fn roughness_of(shore: i32, exposure: i32, rim: i32, height: i32, inland: i32, calm: i32) -> i32 {
+    let near = window(clamp(shore, 1 - (1 << 21u), (1 << 21u) - 1) << 9u);
+    let coast = mul_hi(near << 1u, (9 << 27u) + (exposure >> 2u) * 3);
+    let foot = mul_hi(inland << 1u, (ALMOST_ONE_Q30 - inland) << 1u);
+    let rocky = mul_hi(inland << 1u, calm << 1u) + foot * 2 + (foot >> 1u);
+    let sum = (coast >> 1u) + mul_hi(height << 1u, rocky) + (1 << 23u);
+    return (mul_hi(min(sum, ROUGHEST) << 2u, rim << 1u) + (1 << 14u)) >> 15u;
+}
+
+fn round_to_units(fine: i32) -> i32 {
+    return (fine + (1 << (FINE_BITS - UNIT_BITS - 1u))) >> (FINE_BITS - UNIT_BITS);
+}
+
+fn sample_at(lattice: Lattice, x: i32, z: i32) -> Sample {
+    let place = turned(lattice, x, z);
+    let bits = vec2u(lattice.bits);
+    let cell = place >> bits;
+    let next = (cell + 1u) & (vec2u(4294967295u) >> bits);
+    let inside = place & vec2u((1u << lattice.bits) - 1u);
+    let low = bitcast<vec2i>(inside << (31u - bits));
+    let high = low ^ vec2i(-2147483647 - 1);
+    let fade_x = fade(low.x);
+    let fade_z = fade(low.y);
+    let c00 = corner(lattice.seed, cell, low.x, low.y);
+    let c10 = corner(lattice.seed, vec2u(next.x, cell.y), high.x, low.y);
+    let c01 = corner(lattice.seed, vec2u(cell.x, next.y), low.x, high.y);
+    let c11 = corner(lattice.seed, next, high.x, high.y);
+    let west = lerp(c00.value, c01.value, fade_z);
+    let east = lerp(c10.value, c11.value, fade_z);
+    let north = lerp(c00.value, c10.value, fade_x);
+    let south = lerp(c01.value, c11.value, fade_x);
+    let mean_x = lerp(lerp(c00.gradient.x, c10.gradient.x, fade_x), lerp(c01.gradient.x, c11.gradient.x, fade_x), fade_z);
+    let mean_z = lerp(lerp(c00.gradient.y, c10.gradient.y, fade_x), lerp(c01.gradient.y, c11.gradient.y, fade_x), fade_z);
+    let gradient = vec2i((mean_x >> 3u) + mul_hi(east - west, fade_slope(low.x)), (mean_z >> 3u) + mul_hi(south - north, fade_slope(low.y)));
+    return Sample(lerp(west, east, fade_x), gradient);
+}
+
+fn shore_of(mass: i32) -> i32 {
+    let rim = ALMOST_ONE_Q30 - (min(mass, (1 << 27u) - 1) << 3u);
+    let middle = max(mass - (5 << 27u), 0);
+    return mul_hi(square(middle), UPLIFT_M << 18u) - mul_hi(square(rim), RIM_M << 18u);
+}
+
+fn smooth_step(x_q30: i32) -> i32 {
+    return mul_hi(square(x_q30) << 1u, (3 << 29u) - x_q30) << 2u;
+}
+
+fn spline_cell(coordinate: i32) -> i32 {
+    return coordinate >> SPLINE_CELL_BITS;
+}
+
+fn spline_fraction(coordinate: i32) -> i32 {
+    return coordinate & ((1 << SPLINE_CELL_BITS) - 1);
+}
+
+fn spline_height(nodes: vec3i, t_q13: i32) -> i32 {
+    let rise = nodes.y - nodes.x;
+    let bend = (nodes.z - nodes.y) - rise;
+    return ((nodes.x + nodes.y) >> 1u) + mul_hi(rise << 1u, t_q13 << (31u - SPLINE_CELL_BITS)) + mul_hi(bend, (t_q13 * t_q13) << (31u - 2u * SPLINE_CELL_BITS));
+}
+
+fn spline_node(cell: i32) -> i32 {
+    return (cell << SPLINE_CELL_BITS) + (1 << (SPLINE_CELL_BITS - 1u));
+}
+
+fn spline_share(nodes: vec3i, weights: vec3i) -> i32 {
+    let sum = nodes.x * weights.x + nodes.y * weights.y + nodes.z * weights.z;
+    return (sum + (1 << 14u)) >> 15u;
+}
+
+fn spline_weights(t_q13: i32) -> vec3i {
+    let rest = (1 << SPLINE_CELL_BITS) - t_q13;
+    let before = (rest * rest) >> (2u * SPLINE_CELL_BITS - 14u);
+    let after = (t_q13 * t_q13) >> (2u * SPLINE_CELL_BITS - 14u);
+    return vec3i(before, (1 << 15u) - before - after, after);
+}
+
+fn splined(octaves: u32) -> bool {
+    return fine_octaves(octaves) + SPLINE_CELL_BITS > FIRST_CELL_BITS;
+}
+
+fn splined_node(a: BaseNode, b: BaseNode, c: BaseNode, t: i32) -> BaseNode {
+    let weights = spline_weights(t);
+    return BaseNode(spline_height(vec3i(a.height, b.height, c.height), t), spline_share(vec3i(a.roughness, b.roughness, c.roughness), weights), spline_share(vec3i(a.exposure, b.exposure, c.exposure), weights));
+}
+
+fn square(x_q30: i32) -> i32 {
+    return mul_hi(x_q30 << 1u, x_q30 << 1u);
+}
+
+fn turned(lattice: Lattice, x: i32, z: i32) -> vec2u {
+    let low = is_low(lattice);
+    let along = select(vec2i(3 * x - 4 * z, 4 * x + 3 * z), vec2i(4 * x - 3 * z, 3 * x + 4 * z), low);
+    return bitcast<vec2u>(along) + vec2u(lattice.stream * 2654435761u);
+}
+
+fn turned_back(lattice: Lattice, gradient: vec2i) -> vec2i {
+    let x = gradient.x;
+    let z = gradient.y;
+    return select(vec2i(3 * x + 4 * z, 3 * z - 4 * x), vec2i(4 * x + 3 * z, 4 * z - 3 * x), is_low(lattice));
+}
+
+fn value(low: Edge, high: Edge, east: Weights) -> i32 {
+    return low.slope * east.line.x + low.value * east.step.x + high.slope * east.line.y + high.value * east.step.y;
+}
+
+fn warp_at(lattice_seeds: array<u32, LATTICES>, x: i32, z: i32) -> vec2i {
+    var seeds = lattice_seeds;
+    var warp = vec2i(0);
+    for (var index = 0u; index < 4u; index++) {
+        let wide = index < 2u;
+        let stream = WARP_STREAM + index;
+        let bits = select(WARP_CELL_BITS.y, WARP_CELL_BITS.x, wide);
+        let amplitude = select(WARP_AMPLITUDE_M[1], WARP_AMPLITUDE_M[0], wide) << 19u;
+        let lattice = Lattice(seeds[stream - BASE_STREAM], stream, bits);
+        let part = mul_hi(sample_at(lattice, x, z).value, amplitude);
+        warp += select(vec2i(0, part), vec2i(part, 0), (index & 1u) == 0u);
+    }
+    return warp;
+}
+
+fn weights(fraction: i32) -> Weights {
+    let high = fade(fraction << (31u - FRACTION_BITS));
+    let low = 2147483648u - bitcast<u32>(high);
+    let from_low = bitcast<u32>(fraction) << (32u - FRACTION_BITS);
+    let from_high = 0u - from_low;
+    let line = vec2i(bitcast<i32>(mul_hi_u(from_low, low) >> 7u), -bitcast<i32>(mul_hi_u(from_high, bitcast<u32>(high)) >> 7u));
+    let step = vec2i((high >> 8u) - (1 << 23u), -(high >> 8u));
+    return Weights(narrow(line), narrow(step));
+}
+
+fn window(x_q30: i32) -> i32 {
+    return square(ALMOST_ONE_Q30 - square(x_q30));
+}
