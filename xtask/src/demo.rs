@@ -51,9 +51,9 @@ pub fn run(options: Options) -> Result<()> {
     let headless = options.headless || !has_display();
     setup::run(if headless { Extent::Headless } else { Extent::Everything })?;
     let (build, minutes) = if headless {
-        (process::build_without_window(&PROGRAMS), "about 6")
+        (process::build_without_window(&PROGRAMS), "about 5")
     } else {
-        (process::build(&PROGRAMS), "10 to 15")
+        (process::build(&PROGRAMS), "about 8")
     };
     println!(
         "demo: building the server and the viewer: {minutes} minutes on 2 cores the first time, seconds later"
