@@ -36,6 +36,8 @@ const MEASURED: [(&str, &[&str]); 18] = [
             "lab/src/codec/samples.rs",
             "benches/noise-comparison",
             "xtask/src/measure/heightfield.rs",
+            // Sources rather than what the linker writes: a test holds that to them, and `cargo ci`
+            // compares the digests of all drivers each time.
             "shaders/wgsl/probe_heights.wesl",
             "shaders/wgsl/probe_heights_float.wesl",
             "shaders/wgsl/shared/base.wesl",
