@@ -162,6 +162,8 @@ const CLUMP_CELL_SEED: u32 = 27223u;
 
 const COARSE_BITS: u32 = 8u;
 
+const COMPLEMENT_OF_SEA: Complement = Complement(ALMOST_ONE_Q30, ALMOST_ONE_Q30);
+
 const CRATER_Q26: i32 = 15 << 22u;
 
 const CROSSINGS: u32 = 4u;
@@ -196,6 +198,11 @@ struct ClearInterval {
 struct ClumpCell {
     height: u32,
     hue: u32
+}
+
+struct Complement {
+    mass: i32,
+    height: i32
 }
 
 struct Corner {
@@ -344,6 +351,10 @@ struct LobeRange {
 
 const MAX_CELLS: u32 = 9u;
 
+const MAX_ROUGHNESS: i32 = (1 << 29u) - (1 << 14u);
+
+const MAX_STEEPNESS: i32 = 13421772;
+
 const MAX_STEPS: i32 = 2048;
 
 const MAX_STRETCH: i32 = 160;
@@ -436,11 +447,7 @@ struct Planting {
 
 const RECORD_WORDS: u32 = 149u;
 
-const REST_OF_SEA: Rest = Rest(ALMOST_ONE_Q30, ALMOST_ONE_Q30);
-
 const RIM_M: i32 = 80;
-
-const ROUGHEST: i32 = (1 << 29u) - (1 << 14u);
 
 struct RandomAttributes {
     place: u32,
@@ -468,11 +475,6 @@ struct Ray {
     cross_slope: i32
 }
 
-struct Rest {
-    mass: i32,
-    height: i32
-}
-
 struct RootedClump {
     exists: bool,
     x: i32,
@@ -498,8 +500,6 @@ const SPREAD_JITTER: u32 = 511u;
 const SPREAD_SEED: u32 = 27224u;
 
 const SQUARE_BITS: u32 = 12u;
-
-const STEEPEST: i32 = 13421772;
 
 const STEEPEST_BITS: u32 = 4u;
 
@@ -589,9 +589,9 @@ fn base_at(lattice_seeds: array<u32, LATTICES>, archipelago_seed: u32, x: i32, z
     if !is_near_land(archipelago_seed, x, z) {
         return BASE_OF_SEA;
     }
-    let rest = rest_at(archipelago_seed, x, z, warp_at(lattice_seeds, x, z));
-    let mass = ALMOST_ONE_Q30 - rest.mass;
-    let height = ALMOST_ONE_Q30 - rest.height;
+    let complement = complement_at(archipelago_seed, x, z, warp_at(lattice_seeds, x, z));
+    let mass = ALMOST_ONE_Q30 - complement.mass;
+    let height = ALMOST_ONE_Q30 - complement.height;
     if mass == 0 {
         return BASE_OF_SEA;
     }
@@ -603,18 +603,18 @@ fn base_at(lattice_seeds: array<u32, LATTICES>, archipelago_seed: u32, x: i32, z
     var wide_shore = shore;
     var relief = 0;
     var slope = vec2i(0);
-    var calm = ALMOST_ONE_Q30;
+    var flatness = ALMOST_ONE_Q30;
     for (var index = 0u; index < octaves; index++) {
         let octave = Lattice(seeds[index], BASE_STREAM + index, BASE_CELL_BITS - index);
         let sample = sample_at(octave, x, z);
         let back = turned_back(octave, sample.gradient) >> vec2u(2u);
         let value = sample.value;
-        let folds = index > 0u;
-        slope += back + select(vec2i(0), back >> vec2u(1u), folds);
-        calm = calmness(slope);
+        let is_folded = index > 0u;
+        slope += back + select(vec2i(0), back >> vec2u(1u), is_folded);
+        flatness = flatness_of(slope);
         let size = abs(value);
-        let folded = select(value, (3 << 26u) - (size + (size >> 1u)), folds);
-        relief += mul_hi(folded, damping(calm)) >> index;
+        let folded = select(value, (3 << 26u) - (size + (size >> 1u)), is_folded);
+        relief += mul_hi(folded, damping(flatness)) >> index;
         if index <= 1u {
             shore += mul_hi(value, select(SHORE_M[1], SHORE_M[0], index == 0u) << 19u);
         }
@@ -632,15 +632,15 @@ fn base_at(lattice_seeds: array<u32, LATTICES>, archipelago_seed: u32, x: i32, z
     }
     let inland = smooth_step(clamp(wide_shore - (8 << FINE_BITS), 0, INLAND_REACH) << 7u);
     let share = mul_hi(height << 1u, inland << 1u);
-    let risen = max((13 << 20u) + ((relief * 11) >> 3u), 0) + (5 << 20u);
-    let mountain = mul_hi(mul_hi(share << 1u, risen) << 5u, MOUNTAIN_M << 19u);
+    let raised_relief = max((13 << 20u) + ((relief * 11) >> 3u), 0) + (5 << 20u);
+    let mountain = mul_hi(mul_hi(share << 1u, raised_relief) << 5u, MOUNTAIN_M << 19u);
     let sum = max(lowland(shore) + mountain + (SEA_FLOOR_M << FINE_BITS), 0);
     let rim = min(mass, (1 << 27u) - 1) << 3u;
     var raised = sum;
     if mass < (1 << 27u) {
         raised = mul_hi(sum << 2u, smooth_step(rim));
     }
-    return BaseNode(raised - (SEA_FLOOR_M << FINE_BITS), roughness_of(shore, exposure, rim, height, inland, calm), min(exposure >> 14u, (1 << 15u) - 1));
+    return BaseNode(raised - (SEA_FLOOR_M << FINE_BITS), roughness_of(shore, exposure, rim, height, inland, flatness), min(exposure >> 14u, (1 << 15u) - 1));
 }
 
 fn base_octaves(octaves: u32) -> u32 {
@@ -768,11 +768,6 @@ fn bounds_of(bits: u32, column: i32, row: i32) -> BlockBounds {
         }
     }
     return BlockBounds(true, top + 2, bottom);
-}
-
-fn calmness(slope: vec2i) -> i32 {
-    let steepness = mul_hi(slope.x, slope.x) + mul_hi(slope.y, slope.y);
-    return max(STEEPEST - steepness, 0) * 80;
 }
 
 fn cell_at(x: i32, z: i32) -> Cell {
@@ -905,6 +900,39 @@ fn column_of(ray: Ray, progress: i32, bits: u32) -> i32 {
     return clamp(select(column, last - column, ray.is_mirrored), 0, last);
 }
 
+fn complement_after(before: Complement, lobe: Lobe, x: i32, z: i32, warp: vec2i) -> Complement {
+    let u = falloff(lobe, vec2i(lobe_offset(x, lobe.centre.x, warp.x), lobe_offset(z, lobe.centre.y, warp.y)));
+    if u == 0 {
+        return before;
+    }
+    let s = square(u << 4u);
+    let inner_q27 = (lobe.mass.x << 24u) + lobe.mass.y * (s >> 6u);
+    let mass_q26 = clamp(mul_hi(s << 1u, inner_q27), 0, (1 << 26u) - 1);
+    var top = min(s, ALMOST_ONE_Q30 >> lobe.plateau) << lobe.plateau;
+    if lobe.crater {
+        let w = max(u - CRATER_Q26, 0) << 8u;
+        top -= (square(w) >> 4u) * 7;
+    }
+    let height_q30 = (top >> 8u) * lobe.height;
+    return Complement(before.mass - (mul_hi(before.mass, mass_q26 << 5u) << 1u), before.height - (mul_hi(before.height, height_q30 << 1u) << 1u));
+}
+
+fn complement_at(archipelago_seed: u32, x: i32, z: i32, warp: vec2i) -> Complement {
+    let middle = vec2i(island_cell(x), island_cell(z));
+    var complement = COMPLEMENT_OF_SEA;
+    for (var index = 0; index < 9; index++) {
+        let island = island_of(archipelago_seed, middle + near_cell(index));
+        if may_reach(island, x, z) {
+            var draws = island.draws;
+            for (var lobe = 0u; lobe < lobe_count(island.kind); lobe++) {
+                let next = next_lobe(island, lobe == 0u, &draws);
+                complement = complement_after(complement, next, x, z, warp);
+            }
+        }
+    }
+    return complement;
+}
+
 fn corner(seed: u32, cell: vec2u, x: i32, z: i32) -> Corner {
     let gradient = direction(hash2(seed, bitcast<i32>(cell.x), bitcast<i32>(cell.y))) << vec2u(14u);
     return Corner(mul_hi(gradient.x << 1u, x) + mul_hi(gradient.y << 1u, z), gradient);
@@ -936,8 +964,8 @@ fn crossing_of(ray: Ray, progress: i32, next: i32, bits: u32, which: u32) -> Cro
 @group(0) @binding(0)
 var<uniform> culling: Culling;
 
-fn damping(calm: i32) -> i32 {
-    let squared = mul_hi(calm, calm);
+fn damping(flatness: i32) -> i32 {
+    let squared = mul_hi(flatness, flatness);
     return squared - (squared >> 3u) + (1 << 25u);
 }
 
@@ -1084,6 +1112,11 @@ fn fine_octaves(octaves: u32) -> u32 {
 
 fn fine_shift(octave: u32) -> u32 {
     return 31u - FINE_BITS - FIRST_AMPLITUDE_BITS + octave;
+}
+
+fn flatness_of(slope: vec2i) -> i32 {
+    let steepness = mul_hi(slope.x, slope.x) + mul_hi(slope.y, slope.y);
+    return max(MAX_STEEPNESS - steepness, 0) * 80;
 }
 
 fn from_eye(x: i32, y: i32, z: i32) -> vec3i {
@@ -1885,38 +1918,6 @@ fn raymarch_occlusion(occludee: Occludee, over_noise: bool, skipped_end: i32) ->
 @group(0) @binding(4)
 var<storage, read> records: array<u32>;
 
-fn rest_after(before: Rest, lobe: Lobe, x: i32, z: i32, warp: vec2i) -> Rest {
-    let u = falloff(lobe, vec2i(lobe_offset(x, lobe.centre.x, warp.x), lobe_offset(z, lobe.centre.y, warp.y)));
-    if u == 0 {
-        return before;
-    }
-    let s = square(u << 4u);
-    let inner_q27 = (lobe.mass.x << 24u) + lobe.mass.y * (s >> 6u);
-    let mass_q26 = clamp(mul_hi(s << 1u, inner_q27), 0, (1 << 26u) - 1);
-    var top = min(s, ALMOST_ONE_Q30 >> lobe.plateau) << lobe.plateau;
-    if lobe.crater {
-        let w = max(u - CRATER_Q26, 0) << 8u;
-        top -= (square(w) >> 4u) * 7;
-    }
-    let height_q30 = (top >> 8u) * lobe.height;
-    return Rest(before.mass - (mul_hi(before.mass, mass_q26 << 5u) << 1u), before.height - (mul_hi(before.height, height_q30 << 1u) << 1u));
-}
-
-fn rest_at(archipelago_seed: u32, x: i32, z: i32, warp: vec2i) -> Rest {
-    let middle = vec2i(island_cell(x), island_cell(z));
-    var rest = REST_OF_SEA;
-    for (var index = 0; index < 9; index++) {
-        let island = island_of(archipelago_seed, middle + near_cell(index));
-        if may_reach(island, x, z) {
-            var draws = island.draws;
-            for (var lobe = 0u; lobe < lobe_count(island.kind); lobe++) {
-                rest = rest_after(rest, next_lobe(island, lobe == 0u, &draws), x, z, warp);
-            }
-        }
-    }
-    return rest;
-}
-
 fn root_of(square: u32) -> i32 {
     var root = 0u;
     for (var bit = 0u; bit < 16u; bit++) {
@@ -1928,13 +1929,13 @@ fn root_of(square: u32) -> i32 {
     return i32(root) + select(0, 1, root * root < square);
 }
 
-fn roughness_of(shore: i32, exposure: i32, rim: i32, height: i32, inland: i32, calm: i32) -> i32 {
+fn roughness_of(shore: i32, exposure: i32, rim: i32, height: i32, inland: i32, flatness: i32) -> i32 {
     let near = window(clamp(shore, 1 - (1 << 21u), (1 << 21u) - 1) << 9u);
     let coast = mul_hi(near << 1u, (9 << 27u) + (exposure >> 2u) * 3);
     let foot = mul_hi(inland << 1u, (ALMOST_ONE_Q30 - inland) << 1u);
-    let rocky = mul_hi(inland << 1u, calm << 1u) + foot * 2 + (foot >> 1u);
+    let rocky = mul_hi(inland << 1u, flatness << 1u) + foot * 2 + (foot >> 1u);
     let sum = (coast >> 1u) + mul_hi(height << 1u, rocky) + (1 << 23u);
-    return (mul_hi(min(sum, ROUGHEST) << 2u, rim << 1u) + (1 << 14u)) >> 15u;
+    return (mul_hi(min(sum, MAX_ROUGHNESS) << 2u, rim << 1u) + (1 << 14u)) >> 15u;
 }
 
 fn round_to_units(fine: i32) -> i32 {

@@ -55,7 +55,14 @@ const CLIFF_FOOT_M: i32 = 2;
 
 const CLIFF_M: i32 = 34;
 
+const COMPLEMENT_OF_SEA: Complement = Complement(ALMOST_ONE_Q30, ALMOST_ONE_Q30);
+
 const CRATER_Q26: i32 = 15 << 22u;
+
+struct Complement {
+    mass: i32,
+    height: i32
+}
 
 struct Corner {
     value: i32,
@@ -145,6 +152,10 @@ struct LobeRange {
     short: vec2i
 }
 
+const MAX_ROUGHNESS: i32 = (1 << 29u) - (1 << 14u);
+
+const MAX_STEEPNESS: i32 = 13421772;
+
 const MOUNTAIN_M: i32 = 704;
 
 const OCTAVES: u32 = 9u;
@@ -153,16 +164,7 @@ const OCTAVE_SHIFT = array<vec2i, 5>(vec2i(9472, 23808), vec2i(12032, 7424), vec
 
 const OFFSET_LIMIT: i32 = 1 << 29u;
 
-const REST_OF_SEA: Rest = Rest(ALMOST_ONE_Q30, ALMOST_ONE_Q30);
-
 const RIM_M: i32 = 80;
-
-const ROUGHEST: i32 = (1 << 29u) - (1 << 14u);
-
-struct Rest {
-    mass: i32,
-    height: i32
-}
 
 const SEA_FLOOR_M: i32 = 64;
 
@@ -171,8 +173,6 @@ const SHORE_M: vec4i = vec4i(64, 64, 80, 128);
 const SHORE_REACH: i32 = (1 << 23u) - 1;
 
 const SPLINE_CELL_BITS: u32 = 13u;
-
-const STEEPEST: i32 = 13421772;
 
 struct Sample {
     value: i32,
@@ -216,9 +216,9 @@ fn base_at(lattice_seeds: array<u32, LATTICES>, archipelago_seed: u32, x: i32, z
     if !is_near_land(archipelago_seed, x, z) {
         return BASE_OF_SEA;
     }
-    let rest = rest_at(archipelago_seed, x, z, warp_at(lattice_seeds, x, z));
-    let mass = ALMOST_ONE_Q30 - rest.mass;
-    let height = ALMOST_ONE_Q30 - rest.height;
+    let complement = complement_at(archipelago_seed, x, z, warp_at(lattice_seeds, x, z));
+    let mass = ALMOST_ONE_Q30 - complement.mass;
+    let height = ALMOST_ONE_Q30 - complement.height;
     if mass == 0 {
         return BASE_OF_SEA;
     }
@@ -230,18 +230,18 @@ fn base_at(lattice_seeds: array<u32, LATTICES>, archipelago_seed: u32, x: i32, z
     var wide_shore = shore;
     var relief = 0;
     var slope = vec2i(0);
-    var calm = ALMOST_ONE_Q30;
+    var flatness = ALMOST_ONE_Q30;
     for (var index = 0u; index < octaves; index++) {
         let octave = Lattice(seeds[index], BASE_STREAM + index, BASE_CELL_BITS - index);
         let sample = sample_at(octave, x, z);
         let back = turned_back(octave, sample.gradient) >> vec2u(2u);
         let value = sample.value;
-        let folds = index > 0u;
-        slope += back + select(vec2i(0), back >> vec2u(1u), folds);
-        calm = calmness(slope);
+        let is_folded = index > 0u;
+        slope += back + select(vec2i(0), back >> vec2u(1u), is_folded);
+        flatness = flatness_of(slope);
         let size = abs(value);
-        let folded = select(value, (3 << 26u) - (size + (size >> 1u)), folds);
-        relief += mul_hi(folded, damping(calm)) >> index;
+        let folded = select(value, (3 << 26u) - (size + (size >> 1u)), is_folded);
+        relief += mul_hi(folded, damping(flatness)) >> index;
         if index <= 1u {
             shore += mul_hi(value, select(SHORE_M[1], SHORE_M[0], index == 0u) << 19u);
         }
@@ -259,15 +259,15 @@ fn base_at(lattice_seeds: array<u32, LATTICES>, archipelago_seed: u32, x: i32, z
     }
     let inland = smooth_step(clamp(wide_shore - (8 << FINE_BITS), 0, INLAND_REACH) << 7u);
     let share = mul_hi(height << 1u, inland << 1u);
-    let risen = max((13 << 20u) + ((relief * 11) >> 3u), 0) + (5 << 20u);
-    let mountain = mul_hi(mul_hi(share << 1u, risen) << 5u, MOUNTAIN_M << 19u);
+    let raised_relief = max((13 << 20u) + ((relief * 11) >> 3u), 0) + (5 << 20u);
+    let mountain = mul_hi(mul_hi(share << 1u, raised_relief) << 5u, MOUNTAIN_M << 19u);
     let sum = max(lowland(shore) + mountain + (SEA_FLOOR_M << FINE_BITS), 0);
     let rim = min(mass, (1 << 27u) - 1) << 3u;
     var raised = sum;
     if mass < (1 << 27u) {
         raised = mul_hi(sum << 2u, smooth_step(rim));
     }
-    return BaseNode(raised - (SEA_FLOOR_M << FINE_BITS), roughness_of(shore, exposure, rim, height, inland, calm), min(exposure >> 14u, (1 << 15u) - 1));
+    return BaseNode(raised - (SEA_FLOOR_M << FINE_BITS), roughness_of(shore, exposure, rim, height, inland, flatness), min(exposure >> 14u, (1 << 15u) - 1));
 }
 
 fn base_octaves(octaves: u32) -> u32 {
@@ -285,11 +285,6 @@ fn beach(fine: i32) -> i32 {
     return mul_hi(fine << 3u, slope_q29);
 }
 
-fn calmness(slope: vec2i) -> i32 {
-    let steepness = mul_hi(slope.x, slope.x) + mul_hi(slope.y, slope.y);
-    return max(STEEPEST - steepness, 0) * 80;
-}
-
 fn cliff(fine: i32) -> i32 {
     let x = clamp(fine + (CLIFF_FOOT_M << FINE_BITS), 0, BEACH_EDGE - 1);
     return mul_hi(smooth_step(x << (30u - FINE_BITS - BEACH_BITS)), CLIFF_M << (FINE_BITS + 2u));
@@ -301,13 +296,46 @@ fn coast(raw: i32, exposure: i32) -> i32 {
     return round_to_units(low + mul_hi(difference << 8u, exposure << 9u));
 }
 
+fn complement_after(before: Complement, lobe: Lobe, x: i32, z: i32, warp: vec2i) -> Complement {
+    let u = falloff(lobe, vec2i(lobe_offset(x, lobe.centre.x, warp.x), lobe_offset(z, lobe.centre.y, warp.y)));
+    if u == 0 {
+        return before;
+    }
+    let s = square(u << 4u);
+    let inner_q27 = (lobe.mass.x << 24u) + lobe.mass.y * (s >> 6u);
+    let mass_q26 = clamp(mul_hi(s << 1u, inner_q27), 0, (1 << 26u) - 1);
+    var top = min(s, ALMOST_ONE_Q30 >> lobe.plateau) << lobe.plateau;
+    if lobe.crater {
+        let w = max(u - CRATER_Q26, 0) << 8u;
+        top -= (square(w) >> 4u) * 7;
+    }
+    let height_q30 = (top >> 8u) * lobe.height;
+    return Complement(before.mass - (mul_hi(before.mass, mass_q26 << 5u) << 1u), before.height - (mul_hi(before.height, height_q30 << 1u) << 1u));
+}
+
+fn complement_at(archipelago_seed: u32, x: i32, z: i32, warp: vec2i) -> Complement {
+    let middle = vec2i(island_cell(x), island_cell(z));
+    var complement = COMPLEMENT_OF_SEA;
+    for (var index = 0; index < 9; index++) {
+        let island = island_of(archipelago_seed, middle + near_cell(index));
+        if may_reach(island, x, z) {
+            var draws = island.draws;
+            for (var lobe = 0u; lobe < lobe_count(island.kind); lobe++) {
+                let next = next_lobe(island, lobe == 0u, &draws);
+                complement = complement_after(complement, next, x, z, warp);
+            }
+        }
+    }
+    return complement;
+}
+
 fn corner(seed: u32, cell: vec2u, x: i32, z: i32) -> Corner {
     let gradient = direction(hash2(seed, bitcast<i32>(cell.x), bitcast<i32>(cell.y))) << vec2u(14u);
     return Corner(mul_hi(gradient.x << 1u, x) + mul_hi(gradient.y << 1u, z), gradient);
 }
 
-fn damping(calm: i32) -> i32 {
-    let squared = mul_hi(calm, calm);
+fn damping(flatness: i32) -> i32 {
+    let squared = mul_hi(flatness, flatness);
     return squared - (squared >> 3u) + (1 << 25u);
 }
 
@@ -370,6 +398,11 @@ fn fine_octaves(octaves: u32) -> u32 {
 
 fn fine_shift(octave: u32) -> u32 {
     return 31u - FINE_BITS - FIRST_AMPLITUDE_BITS + octave;
+}
+
+fn flatness_of(slope: vec2i) -> i32 {
+    let steepness = mul_hi(slope.x, slope.x) + mul_hi(slope.y, slope.y);
+    return max(MAX_STEEPNESS - steepness, 0) * 80;
 }
 
 fn gradient(seed: u32, cell_x: i32, cell_z: i32) -> vec2i {
@@ -633,45 +666,13 @@ fn node_keeping(world: World, x: i32, z: i32, octaves: u32) -> BaseNode {
 
 var<private> octave_shifts: array<vec2i, FINE_OCTAVES> = OCTAVE_SHIFT;
 
-fn rest_after(before: Rest, lobe: Lobe, x: i32, z: i32, warp: vec2i) -> Rest {
-    let u = falloff(lobe, vec2i(lobe_offset(x, lobe.centre.x, warp.x), lobe_offset(z, lobe.centre.y, warp.y)));
-    if u == 0 {
-        return before;
-    }
-    let s = square(u << 4u);
-    let inner_q27 = (lobe.mass.x << 24u) + lobe.mass.y * (s >> 6u);
-    let mass_q26 = clamp(mul_hi(s << 1u, inner_q27), 0, (1 << 26u) - 1);
-    var top = min(s, ALMOST_ONE_Q30 >> lobe.plateau) << lobe.plateau;
-    if lobe.crater {
-        let w = max(u - CRATER_Q26, 0) << 8u;
-        top -= (square(w) >> 4u) * 7;
-    }
-    let height_q30 = (top >> 8u) * lobe.height;
-    return Rest(before.mass - (mul_hi(before.mass, mass_q26 << 5u) << 1u), before.height - (mul_hi(before.height, height_q30 << 1u) << 1u));
-}
-
-fn rest_at(archipelago_seed: u32, x: i32, z: i32, warp: vec2i) -> Rest {
-    let middle = vec2i(island_cell(x), island_cell(z));
-    var rest = REST_OF_SEA;
-    for (var index = 0; index < 9; index++) {
-        let island = island_of(archipelago_seed, middle + near_cell(index));
-        if may_reach(island, x, z) {
-            var draws = island.draws;
-            for (var lobe = 0u; lobe < lobe_count(island.kind); lobe++) {
-                rest = rest_after(rest, next_lobe(island, lobe == 0u, &draws), x, z, warp);
-            }
-        }
-    }
-    return rest;
-}
-
-fn roughness_of(shore: i32, exposure: i32, rim: i32, height: i32, inland: i32, calm: i32) -> i32 {
+fn roughness_of(shore: i32, exposure: i32, rim: i32, height: i32, inland: i32, flatness: i32) -> i32 {
     let near = window(clamp(shore, 1 - (1 << 21u), (1 << 21u) - 1) << 9u);
     let coast = mul_hi(near << 1u, (9 << 27u) + (exposure >> 2u) * 3);
     let foot = mul_hi(inland << 1u, (ALMOST_ONE_Q30 - inland) << 1u);
-    let rocky = mul_hi(inland << 1u, calm << 1u) + foot * 2 + (foot >> 1u);
+    let rocky = mul_hi(inland << 1u, flatness << 1u) + foot * 2 + (foot >> 1u);
     let sum = (coast >> 1u) + mul_hi(height << 1u, rocky) + (1 << 23u);
-    return (mul_hi(min(sum, ROUGHEST) << 2u, rim << 1u) + (1 << 14u)) >> 15u;
+    return (mul_hi(min(sum, MAX_ROUGHNESS) << 2u, rim << 1u) + (1 << 14u)) >> 15u;
 }
 
 fn round_to_units(fine: i32) -> i32 {

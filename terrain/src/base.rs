@@ -86,7 +86,7 @@ impl Base {
         let mut relief = 0;
         // Five times the sum of gradients, Q24; five because of the turned axes.
         let (mut slope_x, mut slope_z) = (0, 0);
-        let mut calm = ALMOST_ONE_Q30;
+        let mut flatness = ALMOST_ONE_Q30;
         for (index, octave) in self.octaves.iter().enumerate().take(octaves) {
             let sample = octave.at(x, z);
             let (gradient_x, gradient_z) = octave.turn.back(sample.gradient);
@@ -94,8 +94,8 @@ impl Base {
             let fold = |value: i32| if index == 0 { value } else { value + (value >> 1) };
             slope_x += fold(gradient_x >> 2);
             slope_z += fold(gradient_z >> 2);
-            calm = calmness(slope_x, slope_z);
-            let damping = damping(calm);
+            flatness = flatness_of(slope_x, slope_z);
+            let damping = damping(flatness);
             let folded = if index == 0 { sample.value } else { (3 << 26) - fold(sample.value.abs()) };
             relief += mul_hi(folded, damping) >> index;
             shore += match index {
@@ -121,7 +121,7 @@ impl Base {
         let raised = if mass < 1 << 27 { mul_hi(sum << 2, smoothstep(rim)) } else { sum };
         Node {
             height: raised - (SEA_FLOOR_M << FINE_BITS),
-            roughness: roughness(shore, exposure, rim, height, inland, calm),
+            roughness: roughness(shore, exposure, rim, height, inland, flatness),
             exposure: (exposure >> 14).min((1 << 15) - 1),
         }
     }
@@ -152,18 +152,18 @@ fn shore(mass: i32) -> i32 {
     mul_hi(square(middle), UPLIFT_M << 18) - mul_hi(square(rim), RIM_M << 18)
 }
 
-/// The squared sum of gradients at which no calm is left: 204.8 in Q16, 8.19 per cell.
-pub(crate) const STEEPEST: i32 = 13_421_772;
+/// The squared sum of gradients at which the flatness is zero: 204.8 in Q16, 8.19 per cell.
+pub(crate) const MAX_STEEPNESS: i32 = 13_421_772;
 
 /// How flat the octaves so far are, Q30: `1 - |5 gradient|² / 204.8`, not below zero.
-fn calmness(slope_x: i32, slope_z: i32) -> i32 {
+fn flatness_of(slope_x: i32, slope_z: i32) -> i32 {
     let steepness = mul_hi(slope_x, slope_x) + mul_hi(slope_z, slope_z);
-    (STEEPEST - steepness).max(0) * 80
+    (MAX_STEEPNESS - steepness).max(0) * 80
 }
 
 /// The factor of an octave, Q28: 1/8 on steep land, 1 on flat land.
-fn damping(calm: i32) -> i32 {
-    let squared = mul_hi(calm, calm);
+fn damping(flatness: i32) -> i32 {
+    let squared = mul_hi(flatness, flatness);
     squared - (squared >> 3) + (1 << 25)
 }
 
@@ -180,21 +180,21 @@ fn lowland(shore: i32) -> i32 {
 }
 
 /// The share of the fine octaves, Q15.
-fn roughness(shore: i32, exposure: i32, rim: i32, height: i32, inland: i32, calm: i32) -> i32 {
+fn roughness(shore: i32, exposure: i32, rim: i32, height: i32, inland: i32, flatness: i32) -> i32 {
     // Near the water line: 9/16 where sheltered, 3/4 where exposed.
     let near = window(shore.clamp(1 - (1 << 21), (1 << 21) - 1) << 9);
     let coast = mul_hi(near << 1, (9 << 27) + (exposure >> 2) * 3);
-    // In the mountains where they are calm, and on their feet.
+    // In the mountains where they are flat, and on their feet.
     let foot = mul_hi(inland << 1, (ALMOST_ONE_Q30 - inland) << 1);
-    let rocky = mul_hi(inland << 1, calm << 1) + foot * 2 + (foot >> 1);
+    let rocky = mul_hi(inland << 1, flatness << 1) + foot * 2 + (foot >> 1);
     // Everywhere 1/64. Q29, so that the sum fits; rounded once, because a cliff multiplies errors.
     let sum = (coast >> 1) + mul_hi(height << 1, rocky) + (1 << 23);
     // Nothing at the rim, where the sea floor begins.
-    (mul_hi(sum.min(ROUGHEST) << 2, rim << 1) + (1 << 14)) >> 15
+    (mul_hi(sum.min(MAX_ROUGHNESS) << 2, rim << 1) + (1 << 14)) >> 15
 }
 
 /// The largest share of the fine octaves that rounds to less than one, Q29.
-pub(crate) const ROUGHEST: i32 = (1 << 29) - (1 << 14);
+pub(crate) const MAX_ROUGHNESS: i32 = (1 << 29) - (1 << 14);
 
 #[cfg(test)]
 mod tests {

@@ -61,7 +61,7 @@ pub struct Stages<R> {
     /// The sum that the coast follows, metres.
     pub shore: R,
     /// How flat all octaves are together.
-    pub calm: R,
+    pub flatness: R,
 }
 
 impl World {
@@ -122,7 +122,7 @@ impl World {
     ) -> (Node<P::Real>, Stages<P::Real>) {
         let of = P::Real::of;
         let (mass, height) = self.mass(place, lobes);
-        let mut stages = Stages { mass, shore: bare_shore(mass), calm: of(1.0) };
+        let mut stages = Stages { mass, shore: bare_shore(mass), flatness: of(1.0) };
         if mass.vanishes() {
             return (Node::sea(), stages);
         }
@@ -136,8 +136,8 @@ impl World {
             let fold = of(if index == 0 { 1.0 } else { 1.5 });
             slope = [0, 1].map(|axis| slope[axis] + fold * gradient[axis]);
             let steepness = slope[0].square() + slope[1].square();
-            stages.calm = (of(1.0) - steepness * of(1.0 / 204.8)).max(of(0.0));
-            let damping = stages.calm.square() * of(0.875) + of(0.125);
+            stages.flatness = (of(1.0) - steepness * of(1.0 / 204.8)).max(of(0.0));
+            let damping = stages.flatness.square() * of(0.875) + of(0.125);
             let folded = if index == 0 { value } else { of(0.375) - fold * value.abs() };
             relief = relief + folded * damping * of(1.0 / f64::from(1u32 << index));
             let plain = value * of(f64::from(SHORE_M[index]));
@@ -161,7 +161,7 @@ impl World {
             let near = window(stages.shore * of(1.0 / 32.0));
             let coast = near * (of(9.0 / 16.0) + of(3.0 / 16.0) * exposure);
             let foot = inland * (of(1.0) - inland);
-            let mountain = height * (inland * stages.calm + of(2.5) * foot);
+            let mountain = height * (inland * stages.flatness + of(2.5) * foot);
             (coast + mountain + of(1.0 / 64.0)).min(of(1.0)) * rim
         };
         (Node { height: sum * rim.smoothstep() - floor, roughness, exposure }, stages)

@@ -1,5 +1,5 @@
 //! Walks across the places where curves of the base field begin and end: rims of lobes, of the mass
-//! and of its middle, ends of the shore's curves, where no calm is left for the octaves, where
+//! and of its middle, ends of the shore's curves, where the flatness of the octaves is zero, where
 //! exposure begins and is complete, and the water line.
 
 use super::samples::{VERTEX_STEP, Walk};
@@ -72,7 +72,7 @@ impl Sides {
             shore > 32.0,
             shore > -128.0,
             shore > 8.0,
-            stages.calm > 0.0,
+            stages.flatness > 0.0,
             node.exposure > 0.0,
             node.exposure < 1.0,
             node.height > 0.0,
@@ -94,7 +94,7 @@ mod tests {
         "plain",
         "reach of the last octave at sea",
         "foot of mountains",
-        "end of calm",
+        "end of flatness",
         "beaches only",
         "cliffs only",
         "sea level",

@@ -3,7 +3,7 @@
 
 use super::curves::{clamp, lattice, smoothstep, square, window};
 use super::lanes::Lanes;
-use crate::base::{Base, INLAND_REACH, Node, ROUGHEST, SHORE_REACH, STEEPEST};
+use crate::base::{Base, INLAND_REACH, MAX_ROUGHNESS, MAX_STEEPNESS, Node, SHORE_REACH};
 use crate::constants::{FINE_BITS, MOUNTAIN_M, RIM_M, SEA_FLOOR_M, SHORE_M, UPLIFT_M, WARP_AMPLITUDE_M};
 use crate::curves::ALMOST_ONE_Q30;
 use crate::island::{CRATER_Q26, Lobe, OFFSET_LIMIT, TWO_Q24};
@@ -36,7 +36,7 @@ pub(super) unsafe fn nodes<L: Lanes>(base: &Base, lobes: &[Lobe], x: L, z: L, oc
         let mut shore = shore(mass);
         let mut wide_shore = shore;
         let (mut relief, mut slope_x, mut slope_z) = (L::splat(0), L::splat(0), L::splat(0));
-        let mut calm = one;
+        let mut flatness = one;
         for (index, octave) in base.octaves.iter().enumerate().take(octaves) {
             let (value, gradient_x, gradient_z) = lattice::<L, true>(octave, x, z);
             let (gradient_x, gradient_z) = (gradient_x.sar(2), gradient_z.sar(2));
@@ -48,8 +48,8 @@ pub(super) unsafe fn nodes<L: Lanes>(base: &Base, lobes: &[Lobe], x: L, z: L, oc
                 L::splat(3 << 26).sub(half_more(value.abs()))
             };
             let steepness = slope_x.mul_hi(slope_x).add(slope_z.mul_hi(slope_z));
-            calm = L::splat(STEEPEST).sub(steepness).max(L::splat(0)).mul(L::splat(80));
-            let squared = calm.mul_hi(calm);
+            flatness = L::splat(MAX_STEEPNESS).sub(steepness).max(L::splat(0)).mul(L::splat(80));
+            let squared = flatness.mul_hi(flatness);
             let damping = squared.sub(squared.sar(3)).add(L::splat(1 << 25));
             relief = relief.add(folded.mul_hi(damping).sar(index as u32));
             let added = match index {
@@ -78,7 +78,7 @@ pub(super) unsafe fn nodes<L: Lanes>(base: &Base, lobes: &[Lobe], x: L, z: L, oc
         let shown = exposure.sar(14).min(L::splat((1 << 15) - 1));
         Nodes {
             height: raised.sub(floor),
-            roughness: roughness(shore, exposure, rim, height, inland, calm),
+            roughness: roughness(shore, exposure, rim, height, inland, flatness),
             exposure: L::splat(0).select_below(mass, shown, L::splat(0)),
         }
     }
@@ -179,16 +179,16 @@ unsafe fn lowland<L: Lanes>(shore: L) -> L {
 
 /// [`crate::base`]'s share of the fine octaves.
 #[inline(always)]
-unsafe fn roughness<L: Lanes>(shore: L, exposure: L, rim: L, height: L, inland: L, calm: L) -> L {
+unsafe fn roughness<L: Lanes>(shore: L, exposure: L, rim: L, height: L, inland: L, flatness: L) -> L {
     // SAFETY: guaranteed by the caller.
     unsafe {
         let near = window(clamp(shore, 1 - (1 << 21), (1 << 21) - 1).shl(9));
         let coast = near.shl(1).mul_hi(L::splat(9 << 27).add(exposure.sar(2).mul(L::splat(3))));
         let inland_twice = inland.shl(1);
         let foot = inland_twice.mul_hi(L::splat(ALMOST_ONE_Q30).sub(inland).shl(1));
-        let rocky = inland_twice.mul_hi(calm.shl(1)).add(foot.shl(1)).add(foot.sar(1));
+        let rocky = inland_twice.mul_hi(flatness.shl(1)).add(foot.shl(1)).add(foot.sar(1));
         let sum = coast.sar(1).add(height.shl(1).mul_hi(rocky)).add(L::splat(1 << 23));
-        let sum = sum.min(L::splat(ROUGHEST)).shl(2);
+        let sum = sum.min(L::splat(MAX_ROUGHNESS)).shl(2);
         sum.mul_hi(rim.shl(1)).add(L::splat(1 << 14)).sar(15)
     }
 }

@@ -84,7 +84,7 @@ impl Base {
         let (middle, outer) = ((mass - F8::splat(0.625)).max(zero), one - rim);
         let mut shore = (middle * middle).mul_add(F8::splat(384.0), outer * outer * F8::splat(-80.0));
 
-        let mut octaves = Damped { slope: (zero, zero), calm: one, relief: zero };
+        let mut octaves = Damped { slope: (zero, zero), flatness: one, relief: zero };
         let value = octaves.add::<0>(self.octaves[0].sample::<H, 21, false>(x, z));
         shore = value.mul_add(F8::splat(64.0), shore);
         let value = octaves.add::<1>(self.octaves[1].sample::<H, 20, true>(x, z));
@@ -110,7 +110,7 @@ impl Base {
         let near = window((shore * F8::splat(1.0 / 32.0)).clamp(-1.0, 1.0));
         let coast = near * exposure.mul_add(F8::splat(0.375), F8::splat(1.125));
         let foot = inland.neg_mul_add(inland, inland);
-        let rocky = height * inland.mul_add(octaves.calm, foot * F8::splat(2.5));
+        let rocky = height * inland.mul_add(octaves.flatness, foot * F8::splat(2.5));
         let sum = coast.mul_add(F8::splat(0.5), rocky + F8::splat(1.0 / 64.0)).min(one);
         Node { height: raised, roughness: sum * rim, exposure: zero.select_below(mass, exposure, zero) }
     }
@@ -154,7 +154,7 @@ impl Base {
 /// Octaves that damp those after them.
 struct Damped {
     slope: (F8, F8),
-    calm: F8,
+    flatness: F8,
     relief: F8,
 }
 
@@ -166,8 +166,8 @@ impl Damped {
         let (x, z) = (slope_x.mul_add(more, self.slope.0), slope_z.mul_add(more, self.slope.1));
         self.slope = (x, z);
         let steepness = x.mul_add(x, z * z);
-        self.calm = steepness.neg_mul_add(F8::splat(1.0 / 204.8), F8::splat(1.0)).max(F8::splat(0.0));
-        let damping = (self.calm * self.calm).mul_add(F8::splat(0.875), F8::splat(0.125));
+        self.flatness = steepness.neg_mul_add(F8::splat(1.0 / 204.8), F8::splat(1.0)).max(F8::splat(0.0));
+        let damping = (self.flatness * self.flatness).mul_add(F8::splat(0.875), F8::splat(0.125));
         let folded =
             if OCTAVE == 0 { value } else { value.abs().neg_mul_add(F8::splat(1.5), F8::splat(0.375)) };
         let amplitude = F8::splat(1.0 / (1 << OCTAVE) as f32);
