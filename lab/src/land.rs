@@ -23,7 +23,7 @@ use crate::report::publish;
 use crate::{Outputs, note};
 use ::bars::Bar;
 use anyhow::{Result, bail};
-use centres::{Peak, Square};
+use centres::{CentreSet, Peak};
 use controls::Controls;
 use field::{SPACING_M, Window, place};
 use rayon::prelude::*;
@@ -154,13 +154,12 @@ fn measure(options: &Options) -> (Report, Shape) {
     let shapes: Vec<Shape> = shapes.collect();
     let shape = shapes.into_iter().fold(Shape::default(), Shape::and);
     note("centres of islands");
-    let squares = (0..options.seeds).into_par_iter();
-    let squares = squares.map(|seed| centres::of_land(&Land::new(u64::from(seed)), place(SQUARES, seed)));
-    let squares: Vec<[Square; 2]> = squares.collect();
-    let [all, large] = [0, 1].map(|size| squares.iter().map(|sizes| sizes[size].clone()).collect::<Vec<_>>());
-    let [islands, large_islands] =
-        [&all, &large].map(|squares| squares.iter().map(|square| square.centres.len()).sum());
-    let peaks = [all, large].par_iter().filter_map(|squares| centres::peak(squares)).collect::<Vec<_>>();
+    let island_centres =
+        |seed: u32| centres::island_centres(&Land::new(u64::from(seed)), place(SQUARES, seed));
+    let sets: Vec<[CentreSet; 2]> = (0..options.seeds).into_par_iter().map(island_centres).collect();
+    let [all, large] = [0, 1].map(|size| sets.iter().map(|sizes| sizes[size].clone()).collect::<Vec<_>>());
+    let [islands, large_islands] = [&all, &large].map(|sets| sets.iter().map(|set| set.centres.len()).sum());
+    let peaks = [all, large].par_iter().filter_map(|sets| centres::peak(sets)).collect::<Vec<_>>();
     let centres = Centres { islands, large_islands, peak: centres::strongest(peaks.into_iter()) };
     note("starts");
     let homes = homes(options.home_seeds);

@@ -20,12 +20,12 @@ fn chart(report: &Report) -> Chart {
 }
 
 fn title(report: &Report) -> String {
-    let pace = match report.rate {
-        Some(rate) => format!("open loop, {rate} a second"),
+    let schedule = match report.rate {
+        Some(rate) => format!("open loop, {rate} requests a second"),
         None if report.mode == "view" => "fixed intervals".into(),
         None => "closed loop".into(),
     };
-    format!("{} clients, {} mode, path {}, {pace}", report.clients, report.mode, report.path)
+    format!("{} clients, {} mode, path {}, {schedule}", report.clients, report.mode, report.path)
 }
 
 fn subtitle(report: &Report) -> String {
@@ -49,7 +49,7 @@ fn subtitle(report: &Report) -> String {
 fn latency(report: &Report) -> Panel {
     let title = format!("Latency, {}, of the answers of each second", report.measures);
     // The seconds after the end, with the last answers of an open loop, are not part of the lines.
-    let end = seconds(report).end;
+    let end = time_axis(report).end;
     let points = |pick: fn(&Second) -> Option<f64>| {
         points(report, move |second, _| pick(second).filter(|_| second.second as f64 + 0.5 <= end))
     };
@@ -80,24 +80,27 @@ fn panel(report: &Report, title: String, y: Axis) -> Panel {
         name: phase.name.into(),
         range: phase.begins_s..phase.begins_s + phase.seconds,
     };
-    let bands = report.phases.iter().map(band).filter(|_| report.phases.len() > 1);
-    Panel::new(title, linear("seconds since the start of the run"), y).over(seconds(report)).bands(bands)
+    let phases = if report.phases.len() > 1 { &report.phases[..] } else { &[] };
+    let bands = phases.iter().map(band);
+    Panel::new(title, linear("seconds since the start of the run"), y).over(time_axis(report)).bands(bands)
 }
 
 /// Range of the time axis.
-fn seconds(report: &Report) -> Range<f64> {
+fn time_axis(report: &Report) -> Range<f64> {
     let ends = report.phases.iter().map(|phase| phase.begins_s + phase.seconds);
     0.0..ends.fold(1.0, f64::max)
 }
 
-/// Whether a whole second lies in a phase: arrivals of a fraction would look like a drop.
+/// Whether a second lies in a phase from begin to end. The counts of a part of a second would look
+/// like a drop.
 fn is_whole(report: &Report, second: &Second) -> bool {
     let (from, to) = (second.second as f64, second.second as f64 + 1.0);
     report.phases.iter().any(|phase| phase.begins_s <= from && to <= phase.begins_s + phase.seconds + 1e-9)
 }
 
-/// A value at the middle of each second, by the second and whether it lies in a phase. A second
-/// without a value is a gap, and so is an end of a phase.
+/// Points of a line: the value that `pick` returns for each second, at the middle of the second.
+/// `pick` also gets whether the second lies in a phase ([`is_whole`]). A second without a value is
+/// a gap, and so is a boundary between seconds inside and outside the phases.
 fn points(report: &Report, pick: impl Fn(&Second, bool) -> Option<f64>) -> Vec<(f64, f64)> {
     let mut points = Vec::new();
     let mut was_whole = true;

@@ -32,8 +32,7 @@ struct LevelPlan {
     level: u8,
     /// Different chunks.
     chunks: usize,
-    /// Requests outstanding on each connection. Few for slow levels, whose queue is long enough with
-    /// one of each.
+    /// Requests outstanding on each connection. Few for slow levels: one of each fills the queue.
     window: usize,
 }
 

@@ -249,8 +249,8 @@ const BURLEY_ENERGY: f32 = 1.0 / 1.51;
 struct Bracket {
     near: f32,
     far: f32,
-    above: f32,
-    below: f32
+    near_clearance: f32,
+    far_clearance: f32
 }
 
 const CANOPY_CELL_M: f32 = 8.0;
@@ -972,10 +972,6 @@ fn caustics(pattern_m: vec2f, depth_m: f32, time_s: f32, footprint_m: f32) -> f3
     return 1.0 + seen * (1.15 * lines - 0.5);
 }
 
-fn chord(bracket: Bracket) -> f32 {
-    return mix(bracket.near, bracket.far, bracket.above / (bracket.above - bracket.below));
-}
-
 fn chunk_colour(pattern_m: vec2f, level: f32) -> vec3f {
     let side_m = 2.0 * f32(CELLS) * exp2(floor(level));
     let chunk = floor(pattern_m / side_m);
@@ -983,6 +979,12 @@ fn chunk_colour(pattern_m: vec2f, level: f32) -> vec3f {
     let bits = pattern_hash(u32(i32(chunk.x)) + 977u * u32(level), u32(i32(chunk.y)));
     let hues = vec2f(vec2u(bits, bits >> 8u) & vec2u(255u)) / 255.0;
     return vec3f(hues, 0.125 + 0.25 * quarter.x + 0.125 * quarter.y);
+}
+
+fn clearance(heights: texture_2d_array<f32>, smooth_heights: texture_2d_array<f32>, tiled: sampler, trace: PomTrace, entry: vec2f, share: f32) -> f32 {
+    let exact = trace.pom.heights == HEIGHTS_EXACT;
+    let uv = entry + share * trace.ray.travel;
+    return (1.0 - share) - pom_height(heights, smooth_heights, tiled, trace.map, uv, exact);
 }
 
 fn clearance_at(word: u32, column: u32) -> f32 {
@@ -1592,6 +1594,11 @@ fn inspected(frame: Frame, normal: vec3f, error_m: f32, level: f32, distance_m: 
     return vec3f(0.16) * shape;
 }
 
+fn interpolated_crossing(bracket: Bracket) -> f32 {
+    let fall = bracket.near_clearance - bracket.far_clearance;
+    return mix(bracket.near, bracket.far, bracket.near_clearance / fall);
+}
+
 fn is_decimated(seams: Seams) -> bool {
     return (seams.inside & 4096u) != 0u;
 }
@@ -1700,27 +1707,27 @@ fn light_on_water(frame: Frame, sun: f32) -> vec3f {
 }
 
 fn linear_search(heights: texture_2d_array<f32>, smooth_heights: texture_2d_array<f32>, tiled: sampler, trace: PomTrace, entry: vec2f, steps: u32) -> PomHit {
-    var bracket = Bracket(0.0, 0.0, 0.0, ray_above(heights, smooth_heights, tiled, trace, entry, 0.0));
+    var bracket = Bracket(0.0, 0.0, 0.0, clearance(heights, smooth_heights, tiled, trace, entry, 0.0));
     var fetches = 1u;
     if trace.pom.loop_form == LOOP_FLAG {
-        var done = bracket.below <= 0.0;
+        var done = bracket.far_clearance <= 0.0;
         for (var step = 1u; step <= steps; step++) {
             let share = f32(step) / f32(steps);
-            let above = ray_above(heights, smooth_heights, tiled, trace, entry, share);
-            bracket = Bracket(select(bracket.far, bracket.near, done), select(share, bracket.far, done), select(bracket.below, bracket.above, done), select(above, bracket.below, done));
-            done = done || above <= 0.0;
+            let sampled = clearance(heights, smooth_heights, tiled, trace, entry, share);
+            bracket = Bracket(select(bracket.far, bracket.near, done), select(share, bracket.far, done), select(bracket.far_clearance, bracket.near_clearance, done), select(sampled, bracket.far_clearance, done));
+            done = done || sampled <= 0.0;
         }
         fetches += steps;
     }
     else {
-        for (var step = 1u; step <= steps && bracket.below > 0.0; step++) {
+        for (var step = 1u; step <= steps && bracket.far_clearance > 0.0; step++) {
             let share = f32(step) / f32(steps);
-            let above = ray_above(heights, smooth_heights, tiled, trace, entry, share);
-            bracket = Bracket(bracket.far, share, bracket.below, above);
+            let sampled = clearance(heights, smooth_heights, tiled, trace, entry, share);
+            bracket = Bracket(bracket.far, share, bracket.far_clearance, sampled);
             fetches += 1u;
         }
     }
-    return refined(heights, smooth_heights, tiled, trace, entry, bracket, fetches);
+    return refine_crossing(heights, smooth_heights, tiled, trace, entry, bracket, fetches);
 }
 
 fn lit(frame: Frame, surface: Surface, to_eye: vec3f, sun_share: f32) -> vec3f {
@@ -2189,35 +2196,29 @@ fn projected(frame: Frame, point: GroundPoint, axis: u32, scale: f32) -> Materia
     return MaterialPlace(near_m.xy, vec2f(anchor_m.x, 0.0), dx.xy, dy.xy, scale);
 }
 
-fn ray_above(heights: texture_2d_array<f32>, smooth_heights: texture_2d_array<f32>, tiled: sampler, trace: PomTrace, entry: vec2f, share: f32) -> f32 {
-    let exact = trace.pom.heights == HEIGHTS_EXACT;
-    let uv = entry + share * trace.ray.travel;
-    return (1.0 - share) - pom_height(heights, smooth_heights, tiled, trace.map, uv, exact);
-}
-
 fn rayleigh_phase(cosine: f32) -> f32 {
     return 0.75 * (1.0 + cosine * cosine);
 }
 
-fn refined(heights: texture_2d_array<f32>, smooth_heights: texture_2d_array<f32>, tiled: sampler, trace: PomTrace, entry: vec2f, found: Bracket, spent: u32) -> PomHit {
+fn refine_crossing(heights: texture_2d_array<f32>, smooth_heights: texture_2d_array<f32>, tiled: sampler, trace: PomTrace, entry: vec2f, found: Bracket, spent: u32) -> PomHit {
     let pom = trace.pom;
     var bracket = found;
     var fetches = spent;
     var share = bracket.far;
-    if pom.refine != REFINE_NONE && bracket.above > 0.0 {
+    if pom.refine != REFINE_NONE && bracket.near_clearance > 0.0 {
         let rounds = select(pom.refinements, 0u, pom.refine == REFINE_SEGMENT);
         for (var round = 0u; round < rounds; round++) {
-            share = select(chord(bracket), 0.5 * (bracket.near + bracket.far), pom.refine == REFINE_BISECTION);
-            let above = ray_above(heights, smooth_heights, tiled, trace, entry, share);
+            share = select(interpolated_crossing(bracket), 0.5 * (bracket.near + bracket.far), pom.refine == REFINE_BISECTION);
+            let sampled = clearance(heights, smooth_heights, tiled, trace, entry, share);
             fetches += 1u;
-            if above > 0.0 {
-                bracket = Bracket(share, bracket.far, above, bracket.below);
+            if sampled > 0.0 {
+                bracket = Bracket(share, bracket.far, sampled, bracket.far_clearance);
             }
             else {
-                bracket = Bracket(bracket.near, share, bracket.above, above);
+                bracket = Bracket(bracket.near, share, bracket.near_clearance, sampled);
             }
         }
-        share = chord(bracket);
+        share = interpolated_crossing(bracket);
     }
     return PomHit(entry + share * trace.ray.travel, 1.0 - share, fetches);
 }

@@ -58,11 +58,11 @@ fn probe_pom(@builtin(global_invocation_id) id: vec3u) {
 struct Bracket {
     near: f32,
     far: f32,
-    above: f32,
-    below: f32
+    near_clearance: f32,
+    far_clearance: f32
 }
 
-const CONE_HALVINGS: u32 = 8u;
+const CONE_BISECTIONS: u32 = 8u;
 
 const CONE_STEPS: u32 = 16u;
 
@@ -172,8 +172,10 @@ struct TraversalState {
     at: f32
 }
 
-fn chord(bracket: Bracket) -> f32 {
-    return mix(bracket.near, bracket.far, bracket.above / (bracket.above - bracket.below));
+fn clearance(heights: texture_2d_array<f32>, smooth_heights: texture_2d_array<f32>, tiled: sampler, trace: PomTrace, entry: vec2f, share: f32) -> f32 {
+    let exact = trace.pom.heights == HEIGHTS_EXACT;
+    let uv = entry + share * trace.ray.travel;
+    return (1.0 - share) - pom_height(heights, smooth_heights, tiled, trace.map, uv, exact);
 }
 
 fn cone_search(heights: texture_2d_array<f32>, smooth_heights: texture_2d_array<f32>, cones: texture_2d_array<f32>, tiled: sampler, trace: PomTrace, entry: vec2f) -> PomHit {
@@ -182,48 +184,57 @@ fn cone_search(heights: texture_2d_array<f32>, smooth_heights: texture_2d_array<
     let level = min(map.lod, textureNumLevels(cones) - 1u);
     let side = i32(textureDimensions(cones, level).x);
     let speed = max(length(ray.travel), 1e-9);
-    var bracket = Bracket(0.0, 0.0, 0.0, ray_above(heights, smooth_heights, tiled, trace, entry, 0.0));
+    var bracket = Bracket(0.0, 0.0, 0.0, clearance(heights, smooth_heights, tiled, trace, entry, 0.0));
     var fetches = 1u;
-    for (var step = 0u; step < CONE_STEPS && bracket.below > 0.0 && bracket.far < 1.0; step++) {
+    for (var step = 0u; step < CONE_STEPS; step++) {
+        if bracket.far_clearance <= 0.0 || bracket.far >= 1.0 {
+            break;
+        }
         let uv = entry + bracket.far * ray.travel;
         let texel = vec2i((uv - floor(uv)) * f32(side)) & vec2i(side - 1);
         let ratio = textureLoad(cones, texel, map.layer, level).x;
-        let share = min(bracket.far + max(ratio * bracket.below / (speed + ratio), 0.0001), 1.0);
-        let above = ray_above(heights, smooth_heights, tiled, trace, entry, share);
-        bracket = Bracket(bracket.far, share, bracket.below, above);
+        let step_share = max(ratio * bracket.far_clearance / (speed + ratio), 0.0001);
+        let share = min(bracket.far + step_share, 1.0);
+        let sampled = clearance(heights, smooth_heights, tiled, trace, entry, share);
+        bracket = Bracket(bracket.far, share, bracket.far_clearance, sampled);
         fetches += 2u;
     }
-    var halving = trace;
-    halving.pom.refine = REFINE_BISECTION;
-    halving.pom.refinements = CONE_HALVINGS;
-    if bracket.below > 0.0 {
+    var bisection = trace;
+    bisection.pom.refine = REFINE_BISECTION;
+    bisection.pom.refinements = CONE_BISECTIONS;
+    if bracket.far_clearance > 0.0 {
         return PomHit(entry + bracket.far * ray.travel, 1.0 - bracket.far, fetches);
     }
-    return refined(heights, smooth_heights, tiled, halving, entry, bracket, fetches);
+    return refine_crossing(heights, smooth_heights, tiled, bisection, entry, bracket, fetches);
+}
+
+fn interpolated_crossing(bracket: Bracket) -> f32 {
+    let fall = bracket.near_clearance - bracket.far_clearance;
+    return mix(bracket.near, bracket.far, bracket.near_clearance / fall);
 }
 
 fn linear_search(heights: texture_2d_array<f32>, smooth_heights: texture_2d_array<f32>, tiled: sampler, trace: PomTrace, entry: vec2f, steps: u32) -> PomHit {
-    var bracket = Bracket(0.0, 0.0, 0.0, ray_above(heights, smooth_heights, tiled, trace, entry, 0.0));
+    var bracket = Bracket(0.0, 0.0, 0.0, clearance(heights, smooth_heights, tiled, trace, entry, 0.0));
     var fetches = 1u;
     if trace.pom.loop_form == LOOP_FLAG {
-        var done = bracket.below <= 0.0;
+        var done = bracket.far_clearance <= 0.0;
         for (var step = 1u; step <= steps; step++) {
             let share = f32(step) / f32(steps);
-            let above = ray_above(heights, smooth_heights, tiled, trace, entry, share);
-            bracket = Bracket(select(bracket.far, bracket.near, done), select(share, bracket.far, done), select(bracket.below, bracket.above, done), select(above, bracket.below, done));
-            done = done || above <= 0.0;
+            let sampled = clearance(heights, smooth_heights, tiled, trace, entry, share);
+            bracket = Bracket(select(bracket.far, bracket.near, done), select(share, bracket.far, done), select(bracket.far_clearance, bracket.near_clearance, done), select(sampled, bracket.far_clearance, done));
+            done = done || sampled <= 0.0;
         }
         fetches += steps;
     }
     else {
-        for (var step = 1u; step <= steps && bracket.below > 0.0; step++) {
+        for (var step = 1u; step <= steps && bracket.far_clearance > 0.0; step++) {
             let share = f32(step) / f32(steps);
-            let above = ray_above(heights, smooth_heights, tiled, trace, entry, share);
-            bracket = Bracket(bracket.far, share, bracket.below, above);
+            let sampled = clearance(heights, smooth_heights, tiled, trace, entry, share);
+            bracket = Bracket(bracket.far, share, bracket.far_clearance, sampled);
             fetches += 1u;
         }
     }
-    return refined(heights, smooth_heights, tiled, trace, entry, bracket, fetches);
+    return refine_crossing(heights, smooth_heights, tiled, trace, entry, bracket, fetches);
 }
 
 fn max_mip_corner(map: PomMap, level: u32) -> vec2i {
@@ -455,31 +466,25 @@ fn pom_tier(pom: PomParams, travel: f32) -> u32 {
     return select(POM_MAX_MIP, POM_LINEAR, travel < pom.travel_linear);
 }
 
-fn ray_above(heights: texture_2d_array<f32>, smooth_heights: texture_2d_array<f32>, tiled: sampler, trace: PomTrace, entry: vec2f, share: f32) -> f32 {
-    let exact = trace.pom.heights == HEIGHTS_EXACT;
-    let uv = entry + share * trace.ray.travel;
-    return (1.0 - share) - pom_height(heights, smooth_heights, tiled, trace.map, uv, exact);
-}
-
-fn refined(heights: texture_2d_array<f32>, smooth_heights: texture_2d_array<f32>, tiled: sampler, trace: PomTrace, entry: vec2f, found: Bracket, spent: u32) -> PomHit {
+fn refine_crossing(heights: texture_2d_array<f32>, smooth_heights: texture_2d_array<f32>, tiled: sampler, trace: PomTrace, entry: vec2f, found: Bracket, spent: u32) -> PomHit {
     let pom = trace.pom;
     var bracket = found;
     var fetches = spent;
     var share = bracket.far;
-    if pom.refine != REFINE_NONE && bracket.above > 0.0 {
+    if pom.refine != REFINE_NONE && bracket.near_clearance > 0.0 {
         let rounds = select(pom.refinements, 0u, pom.refine == REFINE_SEGMENT);
         for (var round = 0u; round < rounds; round++) {
-            share = select(chord(bracket), 0.5 * (bracket.near + bracket.far), pom.refine == REFINE_BISECTION);
-            let above = ray_above(heights, smooth_heights, tiled, trace, entry, share);
+            share = select(interpolated_crossing(bracket), 0.5 * (bracket.near + bracket.far), pom.refine == REFINE_BISECTION);
+            let sampled = clearance(heights, smooth_heights, tiled, trace, entry, share);
             fetches += 1u;
-            if above > 0.0 {
-                bracket = Bracket(share, bracket.far, above, bracket.below);
+            if sampled > 0.0 {
+                bracket = Bracket(share, bracket.far, sampled, bracket.far_clearance);
             }
             else {
-                bracket = Bracket(bracket.near, share, bracket.above, above);
+                bracket = Bracket(bracket.near, share, bracket.near_clearance, sampled);
             }
         }
-        share = chord(bracket);
+        share = interpolated_crossing(bracket);
     }
     return PomHit(entry + share * trace.ray.travel, 1.0 - share, fetches);
 }

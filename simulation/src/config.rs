@@ -18,7 +18,7 @@ pub struct Args {
     #[arg(long, value_name = "N", default_value_t = 1000,
           value_parser = clap::value_parser!(u32).range(1..=100_000_000))]
     pub clients: u32,
-    /// Clients of one replica, 1 to 100000
+    /// Clients of each replica, 1 to 100000; the last may have fewer
     #[arg(long, value_name = "N", default_value_t = 1000,
           value_parser = clap::value_parser!(u32).range(1..=100_000))]
     pub clients_per_replica: u32,
@@ -43,7 +43,7 @@ pub struct Args {
     #[arg(long, value_name = "N", default_value_t = 2,
           value_parser = clap::value_parser!(u16).range(1..=1024))]
     pub processors: u16,
-    /// The clients' work is done on the processors of their replica, as in a test on one machine
+    /// Clients run on the processors of their replica, as in a test on one machine
     #[arg(long)]
     pub shared: bool,
     /// One-way delay of the network in microseconds, 0 to 10000000
@@ -65,12 +65,12 @@ pub struct Args {
     pub json: Option<PathBuf>,
 }
 
-/// What is simulated. All values are in range.
+/// Parameters of a simulation. All values are in range.
 #[derive(Clone, Debug)]
 pub struct Plan {
     /// Clients of all replicas.
     pub clients: u32,
-    /// Of one; the last may have fewer.
+    /// Clients of each replica; the last may have fewer.
     pub clients_per_replica: u32,
     /// Length.
     pub length: Duration,
@@ -84,7 +84,7 @@ pub struct Plan {
     pub world_seed: u64,
     /// Processors of a replica.
     pub processors: usize,
-    /// Whether the clients' work is done on them too.
+    /// Whether clients run on them too.
     pub is_shared: bool,
     /// One-way delay of the network.
     pub delay: Duration,
@@ -106,16 +106,19 @@ impl Args {
     /// Reads the costs.
     ///
     /// # Errors
-    /// One line: the file cannot be read or is no table of costs.
-    pub fn resolve(&self) -> Result<Plan, String> {
+    /// One line: the file cannot be read, is not JSON of `--measure-costs`, or has a cost out of
+    /// range.
+    pub fn plan(&self) -> Result<Plan, String> {
         let costs = match &self.costs {
             None => Costs::default(),
             Some(file) => {
                 let text = std::fs::read_to_string(file)
                     .map_err(|error| format!("--costs: cannot read {}: {error}", file.display()))?;
-                serde_json::from_str(&text).map_err(|error| {
-                    format!("--costs: {} is no table of costs: {error}; see --measure-costs", file.display())
-                })?
+                let costs: Costs = serde_json::from_str(&text).map_err(|error| {
+                    format!("--costs: {} is not valid JSON of --measure-costs: {error}", file.display())
+                })?;
+                costs.check().map_err(|error| format!("--costs: {}: {error}", file.display()))?;
+                costs
             }
         };
         Ok(Plan {

@@ -21,7 +21,7 @@ const VIEWS: u32 = 64;
 /// How often a chunk is timed.
 const REPEATS: usize = 3;
 
-/// Microseconds of processor time.
+/// Microseconds of processor time, each 0 to 60,000,000 ([`Costs::check`]).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Costs {
@@ -49,6 +49,33 @@ fn of_all_levels<'de, D: Deserializer<'de>>(from: D) -> Result<[f64; LEVELS], D:
     let length = list.len();
     let why = |_| D::Error::custom(format!("chunk_us has {length} costs in place of {LEVELS}, one a level"));
     list.try_into().map_err(why)
+}
+
+/// Largest cost in a file, microseconds: a minute.
+const MAX_COST_US: f64 = 60e6;
+
+impl Costs {
+    /// Checks the range of every cost.
+    ///
+    /// # Errors
+    /// One line: a cost is not 0 to 60,000,000 microseconds.
+    pub fn check(&self) -> Result<(), String> {
+        let Self { chunk_us, fast_chunk_us, view_us, receive_us, write_us, kib_us, client_chunk_us } = self;
+        let single = [
+            ("fast_chunk_us", fast_chunk_us),
+            ("view_us", view_us),
+            ("receive_us", receive_us),
+            ("write_us", write_us),
+            ("kib_us", kib_us),
+            ("client_chunk_us", client_chunk_us),
+        ];
+        let mut costs = chunk_us.iter().map(|us| ("chunk_us", us)).chain(single);
+        // A NaN is in no range.
+        match costs.find(|(_, us)| !(0.0..=MAX_COST_US).contains(*us)) {
+            None => Ok(()),
+            Some((name, us)) => Err(format!("{name} is {us}; a cost is 0 to {MAX_COST_US} microseconds")),
+        }
+    }
 }
 
 impl Default for Costs {

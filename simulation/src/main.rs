@@ -16,7 +16,7 @@ fn main() -> ExitCode {
     if args.measure_costs {
         return print(&serde_json::json!(Costs::measure(args.world_seed)));
     }
-    let plan = match args.resolve() {
+    let plan = match args.plan() {
         Ok(plan) => plan,
         Err(message) => return cli::fail(NAME, message, cli::USAGE),
     };

@@ -68,14 +68,14 @@ fn costs_are_measured_and_read_back() {
 #[test]
 fn a_list_of_costs_without_a_level_is_an_error_that_says_what_to_do() {
     let file = std::env::temp_dir().join(format!("tombolo-costs-{}.json", std::process::id()));
-    let resolve = |levels: usize| {
+    let plan = |levels: usize| {
         let mut costs = serde_json::json!(Costs::default());
         costs["chunk_us"] = serde_json::json!(vec![0.0; levels]);
         std::fs::write(&file, costs.to_string()).unwrap();
-        Args::parse_from(["tombolo-simulate", "--costs", &file.to_string_lossy()]).resolve()
+        Args::parse_from(["tombolo-simulate", "--costs", &file.to_string_lossy()]).plan()
     };
     for levels in [1, LEVELS - 1, LEVELS + 1] {
-        let error = resolve(levels).unwrap_err();
+        let error = plan(levels).unwrap_err();
         let cause = format!("chunk_us has {levels} costs in place of {LEVELS}");
         for part in ["--costs", &*file.to_string_lossy(), &cause, "--measure-costs"] {
             assert!(error.contains(part), "{error}");
@@ -83,7 +83,32 @@ fn a_list_of_costs_without_a_level_is_an_error_that_says_what_to_do() {
         assert!(!error.contains('\n'), "{error}");
     }
     // The control: one of each level.
-    assert!(resolve(LEVELS).unwrap().costs.chunk_us.iter().all(|us| *us == 0.0));
+    assert!(plan(LEVELS).unwrap().costs.chunk_us.iter().all(|us| *us == 0.0));
+    std::fs::remove_file(file).unwrap();
+}
+
+#[test]
+fn a_cost_out_of_range_is_an_error_that_names_it() {
+    let file = std::env::temp_dir().join(format!("tombolo-cost-{}.json", std::process::id()));
+    let plan = |name: &str, us: f64| {
+        let mut costs = serde_json::json!(Costs::default());
+        match name {
+            "chunk_us" => costs[name][LEVELS - 1] = us.into(),
+            _ => costs[name] = us.into(),
+        }
+        std::fs::write(&file, costs.to_string()).unwrap();
+        Args::parse_from(["tombolo-simulate", "--costs", &file.to_string_lossy()]).plan()
+    };
+    for name in serde_json::json!(Costs::default()).as_object().unwrap().keys() {
+        for us in [-1.0, 60.1e6, 1e300] {
+            let error = plan(name, us).unwrap_err();
+            let file = file.to_string_lossy();
+            assert!(["--costs", &*file, name].iter().all(|part| error.contains(part)), "{error}");
+            assert!(!error.contains('\n'), "{error}");
+        }
+        // The control: both ends of the range.
+        assert!(plan(name, 0.0).is_ok() && plan(name, 60e6).is_ok(), "{name}");
+    }
     std::fs::remove_file(file).unwrap();
 }
 

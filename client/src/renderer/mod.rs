@@ -7,7 +7,7 @@ mod inspection;
 pub mod scenes;
 
 use crate::cache::Resident;
-use crate::features::atmosphere::{AtmospherePass, BackgroundPass};
+use crate::features::atmosphere::{AtmospherePass, SkyPass};
 use crate::features::materials::{CustomMaterials, Materials};
 use crate::features::post::PostPasses;
 use crate::features::terrain::{ChunkPool, TerrainPass};
@@ -68,7 +68,7 @@ pub struct Renderer {
     trees: TreeCells,
     /// Vegetation, from the first frame with plants on.
     vegetation: Option<VegetationRenderer>,
-    sky: BackgroundPass,
+    sky: SkyPass,
     water: WaterPass,
     /// Local scene, drawn instead of land, sky and sea.
     local: Option<LocalScene>,
@@ -119,7 +119,7 @@ impl Renderer {
             ),
             trees,
             vegetation: None,
-            sky: BackgroundPass::sky(device, &uniforms, samples),
+            sky: SkyPass::new(device, &uniforms, samples),
             water: WaterPass::sea(device, &uniforms, &waves, samples),
             local: LocalScene::new(options.scene, device, &uniforms, &waves, &materials, samples),
             post: PostPasses::new(device, options.format),

@@ -59,8 +59,8 @@ pub fn measure(land: Land, window: &Window) -> Controls {
         low: shape(&Changed(land, |_, _, height| height / 8.0), window),
         rough: shape(&Changed(land, rough), window),
         waves: shape(&Changed(land, waves), window),
-        lattice: centres::peak(&centres::synthetic(4, true)),
-        independent: centres::peak(&centres::synthetic(4, false)),
+        lattice: centres::peak(&centres::jittered_lattices(4)),
+        independent: centres::peak(&centres::independent(4)),
         featured_cones: u32::from(features::near(&cones(), (0, 0)) == [true; 6]),
     }
 }

@@ -4,16 +4,16 @@ use super::frame::{FrameError, MAX_CONTROL_PAYLOAD};
 use bytes::Bytes;
 
 /// The connection ended as intended.
-pub const NORMAL: u16 = 1000;
+pub const NORMAL_CLOSURE: u16 = 1000;
 
 /// The peer violated RFC 6455.
 pub const PROTOCOL_ERROR: u16 = 1002;
 
 /// A text is not UTF-8.
-pub const NOT_UTF8: u16 = 1007;
+pub const INVALID_PAYLOAD: u16 = 1007;
 
 /// A message is longer than the limit.
-pub const TOO_LONG: u16 = 1009;
+pub const MESSAGE_TOO_BIG: u16 = 1009;
 
 /// The content of a peer's Close frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -44,10 +44,10 @@ impl<'a> Close<'a> {
         Ok(Self { code: Some(code), reason })
     }
 
-    /// The code that answers this frame: the same, and [`NORMAL`] where there is none.
+    /// The code that answers this frame: the same, and [`NORMAL_CLOSURE`] where there is none.
     #[must_use]
     pub fn answer(&self) -> u16 {
-        self.code.unwrap_or(NORMAL)
+        self.code.unwrap_or(NORMAL_CLOSURE)
     }
 }
 
@@ -56,14 +56,14 @@ impl FrameError {
     #[must_use]
     pub const fn close_code(&self) -> u16 {
         match self {
-            Self::TooLong(_) => TOO_LONG,
-            Self::NotUtf8 => NOT_UTF8,
+            Self::TooLong(_) => MESSAGE_TOO_BIG,
+            Self::NotUtf8 => INVALID_PAYLOAD,
             _ => PROTOCOL_ERROR,
         }
     }
 }
 
-/// Whether an endpoint may put a code into a Close frame. 1004 has no meaning, 1005, 1006 and 1015
+/// Whether an endpoint may put a code into a Close frame. 1004 is reserved, 1005, 1006 and 1015
 /// name events without a frame, 1012 to 1014 are registered with IANA, 3000 to 4999 belong to
 /// libraries and applications, and no other code is assigned.
 #[must_use]
@@ -87,6 +87,9 @@ mod tests {
         let accepted: Vec<u16> = (0..=u16::MAX).filter(|code| may_be_sent(*code)).collect();
         let ranges = [1000..=1003, 1007..=1014, 3000..=4999];
         assert_eq!(accepted, ranges.into_iter().flatten().collect::<Vec<_>>());
+        assert!([3000, 4999].into_iter().all(may_be_sent));
+        let rejected = [999, 1004, 1005, 1006, 1015, 1016, 2999, 5000];
+        assert!(!rejected.into_iter().any(may_be_sent));
     }
 
     #[test]

@@ -1,5 +1,5 @@
 //! `cluster`: replicas behind nginx without containers, by the configuration that the compose file
-//! mounts. With `--check`, what a cluster promises is tried and compared with bars.
+//! mounts. `--check` measures the guarantees of a cluster and compares the figures with bars.
 
 mod bake;
 mod caching;
@@ -34,8 +34,8 @@ use std::time::Duration;
 /// The world of the replicas.
 const WORLD_SEED: u64 = 1;
 
-/// Setting of the replicas: nginx names its clients.
-const SETTING: (&str, &str) = ("TOMBOLO_TRUSTED_PROXY", "127.0.0.1");
+/// Environment of every replica: nginx is trusted to forward the addresses of its clients.
+const TRUST_NGINX: (&str, &str) = ("TOMBOLO_TRUSTED_PROXY", "127.0.0.1");
 
 /// Replicas of a cluster that is checked.
 const REPLICAS: u8 = 2;
@@ -49,20 +49,21 @@ pub struct Options {
     /// Servers behind nginx, 2 to 16
     #[arg(long, value_name = "N", default_value_t = 2, value_parser = clap::value_parser!(u8).range(2..=16))]
     pub replicas: u8,
-    /// Check clusters of two replicas instead: caches, a replica killed and one terminated under
-    /// load, a store that fails, a bake in parts, alerts; exit 1 if a bar is missed
+    /// Check clusters of two replicas instead, whatever --replicas says: contents, caches, a
+    /// replica killed and one terminated under load, a store that fails, a bake in parts, alerts,
+    /// cost of a client, the simulation beside real clients; exit 1 if a bar is missed
     #[arg(long)]
     pub check: bool,
     /// With --check: only these
     #[arg(long, value_delimiter = ',', value_enum, requires = "check")]
     pub only: Vec<Check>,
     /// With --only soak: its length in minutes, 2 to 10000
-    #[arg(long, value_name = "MIN", default_value_t = soak::LENGTH.as_secs() / 60,
+    #[arg(long, value_name = "MIN", requires = "only", default_value_t = soak::LENGTH.as_secs() / 60,
           value_parser = clap::value_parser!(u64).range(2..=10_000))]
     pub soak_minutes: u64,
 }
 
-/// The check.
+/// A group of measurements that `--check` can run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum Check {
     /// One content and one ETag per address.
@@ -77,7 +78,7 @@ pub enum Check {
     Bake,
     /// Alerts of Prometheus.
     Alerts,
-    /// Cost of a client.
+    /// Processor time, memory and bytes that one client costs the server.
     Capacity,
     /// The simulation beside 1,000 real clients.
     Simulation,
@@ -116,7 +117,7 @@ impl Check {
 /// Settings of a server in its environment.
 type Settings = Vec<(&'static str, String)>;
 
-/// Servers, and nginx before them. All end when it goes out of scope.
+/// Servers behind nginx. Dropping it ends all processes.
 #[derive(Debug)]
 struct Cluster {
     /// First, so that it ends before the replicas.
@@ -137,10 +138,10 @@ pub fn run(options: Options) -> Result<()> {
     if options.check {
         let checks = if options.only.is_empty() { Check::ALL.to_vec() } else { options.only };
         let soak = Duration::from_secs(60 * options.soak_minutes);
-        let rows = rows_of(&checks, soak).context("cluster")?;
+        let rows = run_checks(&checks, soak).context("cluster")?;
         println!("{}", bars::text(&rows));
-        let missed = rows.iter().filter(|row| row.is_missed()).count();
-        if Summary::of(&rows).missed > 0 {
+        let missed = Summary::of(&rows).missed;
+        if missed > 0 {
             bail!("cluster: {missed} bars missed");
         }
         return Ok(());
@@ -148,7 +149,7 @@ pub fn run(options: Options) -> Result<()> {
     let (objects, settings) = shared_store().context("cluster")?;
     let mut cluster = Cluster::start_with(options.replicas, &settings).context("cluster")?;
     println!("cluster: {} replicas behind http://{}/", options.replicas, cluster.nginx.address());
-    let prometheus = watched(&cluster).context("cluster")?;
+    let prometheus = start_prometheus(&cluster).context("cluster")?;
     for replica in &cluster.replicas {
         println!("  replica http://{}/", replica.address());
     }
@@ -173,9 +174,9 @@ fn shared_store() -> Result<(Option<Objects>, Settings)> {
 }
 
 /// Prometheus over the replicas and nginx, where it is installed.
-fn watched(cluster: &Cluster) -> Result<Option<Prometheus>> {
+fn start_prometheus(cluster: &Cluster) -> Result<Option<Prometheus>> {
     if let Some(why) = prometheus::lacks() {
-        println!("cluster: nothing watches the replicas; this {why}");
+        println!("cluster: no alerts are evaluated; Prometheus {why}");
         return Ok(None);
     }
     let addresses: Vec<_> = cluster.replicas.iter().map(Server::address).collect();
@@ -184,13 +185,13 @@ fn watched(cluster: &Cluster) -> Result<Option<Prometheus>> {
     Ok(Some(prometheus))
 }
 
-/// Every figure of clusters of two replicas beside its bar. Each check has a cluster of its own,
-/// whose caches are empty. A check that fails is a missed row.
+/// Every figure of clusters of two replicas beside its bar. Each check starts a cluster with empty
+/// caches. A failed check is a missed row.
 ///
 /// # Errors
 /// An interrupt.
 pub fn rows() -> Result<Vec<Bar>> {
-    rows_of(&Check::ALL, soak::LENGTH)
+    run_checks(&Check::ALL, soak::LENGTH)
 }
 
 /// The rows of [`Check::Soak`], of its whole length.
@@ -198,10 +199,10 @@ pub fn rows() -> Result<Vec<Bar>> {
 /// # Errors
 /// An interrupt.
 pub fn soak_rows() -> Result<Vec<Bar>> {
-    rows_of(&[Check::Soak], soak::LENGTH)
+    run_checks(&[Check::Soak], soak::LENGTH)
 }
 
-fn rows_of(checks: &[Check], soak: Duration) -> Result<Vec<Bar>> {
+fn run_checks(checks: &[Check], soak: Duration) -> Result<Vec<Bar>> {
     let mut rows = Vec::new();
     for check in checks {
         if process::interrupted() {
@@ -210,7 +211,7 @@ fn rows_of(checks: &[Check], soak: Duration) -> Result<Vec<Bar>> {
         match check.rows(soak) {
             Ok(more) => rows.extend(more),
             Err(error) if process::interrupted() => return Err(error.context(format!("{check:?}"))),
-            // The rows of the other checks are worth their minutes.
+            // A failed check does not discard the results of the others.
             Err(error) => {
                 eprintln!("cluster: {check:?}: {error:#}");
                 let name = format!("{check:?}: whether it could be measured");
@@ -224,7 +225,7 @@ fn rows_of(checks: &[Check], soak: Duration) -> Result<Vec<Bar>> {
 /// An empty folder among the results of the build, for the files of a process.
 fn folder(name: &str) -> Result<PathBuf> {
     let folder = process::target().join("cluster").join(format!("{}-{name}", std::process::id()));
-    // It is there after a check that failed.
+    // A failed check leaves it behind.
     let _ = std::fs::remove_dir_all(&folder);
     std::fs::create_dir_all(&folder).with_context(|| format!("cannot create {}", folder.display()))?;
     Ok(folder)
@@ -232,12 +233,12 @@ fn folder(name: &str) -> Result<PathBuf> {
 
 /// A replica at an address that another one had.
 fn replica_at(address: SocketAddr, settings: &[(&str, String)]) -> Result<Server> {
-    Server::start_at(address, WORLD_SEED, &of_replica(settings))
+    Server::start_at(address, WORLD_SEED, &replica_environment(settings))
 }
 
-/// The settings of every replica, and further ones.
-fn of_replica<'a>(settings: &[(&'a str, String)]) -> Vec<(&'a str, String)> {
-    [&[(SETTING.0, SETTING.1.to_owned())], settings].concat()
+/// Environment of a replica: that of every replica, and `settings`.
+fn replica_environment<'a>(settings: &[(&'a str, String)]) -> Vec<(&'a str, String)> {
+    [&[(TRUST_NGINX.0, TRUST_NGINX.1.to_owned())], settings].concat()
 }
 
 impl Cluster {
@@ -247,7 +248,7 @@ impl Cluster {
 
     /// With settings in the environment of the replicas.
     fn start_with(replicas: u8, settings: &[(&str, String)]) -> Result<Self> {
-        let settings = of_replica(settings);
+        let settings = replica_environment(settings);
         let replicas: Vec<Server> =
             (0..replicas).map(|_| Server::start_with(WORLD_SEED, &settings)).collect::<Result<_>>()?;
         let addresses: Vec<_> = replicas.iter().map(Server::address).collect();

@@ -3,5 +3,5 @@
 pub mod background;
 pub mod integrate;
 
-pub use background::BackgroundPass;
+pub use background::SkyPass;
 pub use integrate::AtmospherePass;

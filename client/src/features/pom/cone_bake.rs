@@ -6,7 +6,7 @@
 
 use crate::features::pom::cones;
 use crate::features::pom::cones::MOST_CONES;
-use crate::features::pom::textures::{EXACT, texture, whole};
+use crate::features::pom::textures::{UNFILTERED_FORMAT, texture, whole};
 use crate::gpu::bind;
 use crate::gpu::buffer::create_buffer;
 use crate::gpu::pipeline::{compute_pass, compute_pipelines};
@@ -63,7 +63,7 @@ impl ConeBake {
             bind::compute_uniform_entry(0),
             bind::texture_entry(1, stages, array, false),
             bind::texture_entry(2, stages, array, false),
-            bind::storage_texture_entry(3, EXACT, wgpu::StorageTextureAccess::WriteOnly),
+            bind::storage_texture_entry(3, UNFILTERED_FORMAT, wgpu::StorageTextureAccess::WriteOnly),
         ];
         let layout = bind::layout(device, shader.name, &entries);
         let [pipeline] = compute_pipelines(device, &shader, &[&layout], ["bake_cones"]);
@@ -81,7 +81,15 @@ impl ConeBake {
             }
         }
         Self {
-            baked: texture(device, "cones", EXACT, most, most, heights.depth_or_array_layers(), levels),
+            baked: texture(
+                device,
+                "cones",
+                UNFILTERED_FORMAT,
+                most,
+                most,
+                heights.depth_or_array_layers(),
+                levels,
+            ),
             pipeline,
             layout,
             heights: whole(heights),

@@ -2,7 +2,7 @@
 
 use crate::features::pom::cone_bake::ConeBake;
 use crate::features::pom::height_map::HeightMap;
-use crate::features::pom::textures::{EXACT, texture, whole};
+use crate::features::pom::textures::{UNFILTERED_FORMAT, texture, whole};
 use crate::gpu::bind;
 use crate::gpu::pipeline::{compute_pass, compute_pipelines};
 use crate::gpu::{Gpu, GpuError};
@@ -12,7 +12,7 @@ use shaders::layout::{MAX_MIP_WORKGROUP, MaxMipReduction};
 use wgpu::util::DeviceExt as _;
 
 /// Filterable heights, in alpha.
-const SMOOTH: wgpu::TextureFormat = wgpu::TextureFormat::Rgba16Float;
+const FILTERED_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba16Float;
 
 /// Textures of an array of height maps of one size.
 #[derive(Debug)]
@@ -45,7 +45,7 @@ impl PomMaps {
             min_filter: wgpu::FilterMode::Linear,
             ..Default::default()
         });
-        let cones = texture(device, "no cones", EXACT, 1, 1, 1, 1);
+        let cones = texture(device, "no cones", UNFILTERED_FORMAT, 1, 1, 1, 1);
         let [exact, smooth, max_mips, cone_view] = [heights, smooth, max_mips, &cones].map(whole);
         Self {
             heights: heights.clone(),
@@ -67,8 +67,8 @@ impl PomMaps {
         let maps: Vec<&HeightMap> = maps.iter().filter(|map| map.side() == side as usize).collect();
         let layers = (maps.len() as u32).max(1);
         let levels = side.ilog2() + 1;
-        let heights = texture(device, "heights", EXACT, side, side, layers, levels);
-        let smooth = texture(device, "filterable heights", SMOOTH, side, side, layers, levels);
+        let heights = texture(device, "heights", UNFILTERED_FORMAT, side, side, layers, levels);
+        let smooth = texture(device, "filterable heights", FILTERED_FORMAT, side, side, layers, levels);
         for (layer, map) in maps.into_iter().enumerate() {
             let layer = layer as u32;
             let mut map = map.clone();
@@ -199,13 +199,13 @@ const fn max_mip_corner(map_side: u32, lod: u32, level: u32) -> wgpu::Origin3d {
 pub fn max_mips(device: &wgpu::Device, queue: &wgpu::Queue, heights: &wgpu::Texture) -> wgpu::Texture {
     let (side, layers) = (heights.width(), heights.depth_or_array_layers());
     let [max_mips, found] = ["max mips", "new max mips"]
-        .map(|label| texture(device, label, EXACT, side + side / 2, 2 * side, layers, 1));
+        .map(|label| texture(device, label, UNFILTERED_FORMAT, side + side / 2, 2 * side, layers, 1));
     let shader = SHADERS.reduce_max_mip;
     let entries = [
         bind::compute_uniform_entry(0),
         PomMaps::layout_entries(1, wgpu::ShaderStages::COMPUTE)[0],
         bind::texture_entry(2, wgpu::ShaderStages::COMPUTE, wgpu::TextureViewDimension::D2Array, false),
-        bind::storage_texture_entry(3, EXACT, wgpu::StorageTextureAccess::WriteOnly),
+        bind::storage_texture_entry(3, UNFILTERED_FORMAT, wgpu::StorageTextureAccess::WriteOnly),
     ];
     let layout = bind::layout(device, shader.name, &entries);
     let [pipeline] = compute_pipelines(device, &shader, &[&layout], ["reduce_max_mip"]);

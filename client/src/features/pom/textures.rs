@@ -1,7 +1,8 @@
 //! Texture arrays of parallax occlusion mapping.
 
-/// Exact heights and max mips; not filterable everywhere.
-pub(super) const EXACT: wgpu::TextureFormat = wgpu::TextureFormat::R32Float;
+/// Format of heights, cones and maximum pyramids. WebGPU does not guarantee that it can be
+/// filtered.
+pub(super) const UNFILTERED_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::R32Float;
 
 pub(super) fn texture(
     device: &wgpu::Device,
@@ -13,7 +14,7 @@ pub(super) fn texture(
     levels: u32,
 ) -> wgpu::Texture {
     use wgpu::TextureUsages as Usage;
-    let stored = if format == EXACT { Usage::STORAGE_BINDING } else { Usage::empty() };
+    let stored = if format == UNFILTERED_FORMAT { Usage::STORAGE_BINDING } else { Usage::empty() };
     device.create_texture(&wgpu::TextureDescriptor {
         label: Some(label),
         size: wgpu::Extent3d { width, height, depth_or_array_layers: layers },

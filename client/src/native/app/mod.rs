@@ -1,4 +1,4 @@
-//! The window: winit's event loop. What happens in the window is in [`running`].
+//! The window: winit's event loop. What happens in the window is in [`window_state`].
 
 pub mod capture;
 pub mod clock;
@@ -8,14 +8,14 @@ pub mod notices;
 pub mod overlay;
 pub mod panel;
 pub mod panel_settings;
-pub mod running;
 pub mod view_settings;
+pub mod window_state;
 
 use crate::native::args::Args;
 use crate::native::screenshot::{check_output, write_stats};
 use anyhow::{Context as _, anyhow};
-use running::{After, Running};
 use std::time::Instant;
+use window_state::{FrameOutcome, WindowState};
 use winit::application::ApplicationHandler;
 use winit::event::WindowEvent;
 use winit::event_loop::{ActiveEventLoop, ControlFlow, EventLoop, OwnedDisplayHandle};
@@ -38,11 +38,11 @@ pub fn run(args: &Args, started: Instant) -> anyhow::Result<()> {
         args: args.clone(),
         started,
         display: event_loop.owned_display_handle(),
-        running: None,
+        window: None,
         failure: None,
     };
     event_loop.run_app(&mut app).context("the window system failed")?;
-    let stats = app.running.as_ref().map(Running::stats);
+    let stats = app.window.as_ref().map(WindowState::stats);
     if let Some(failure) = app.failure {
         return Err(failure);
     }
@@ -56,39 +56,39 @@ struct App {
     args: Args,
     started: Instant,
     display: OwnedDisplayHandle,
-    running: Option<Running>,
+    window: Option<WindowState>,
     failure: Option<anyhow::Error>,
 }
 
 impl ApplicationHandler for App {
     fn resumed(&mut self, event_loop: &ActiveEventLoop) {
-        if self.running.is_some() {
+        if self.window.is_some() {
             return;
         }
-        match Running::start(event_loop, self.display.clone(), &self.args, self.started) {
-            Ok(running) => self.running = Some(running),
+        match WindowState::start(event_loop, self.display.clone(), &self.args, self.started) {
+            Ok(window) => self.window = Some(window),
             Err(error) => self.quit(event_loop, Some(error)),
         }
     }
 
     fn window_event(&mut self, event_loop: &ActiveEventLoop, _: WindowId, event: WindowEvent) {
-        let Some(running) = &mut self.running else { return };
+        let Some(window) = &mut self.window else { return };
         if matches!(event, WindowEvent::RedrawRequested) {
-            match running.redraw() {
-                Ok(After::Continue) => {}
-                Ok(After::Quit) => self.quit(event_loop, None),
+            match window.redraw() {
+                Ok(FrameOutcome::Continue) => {}
+                Ok(FrameOutcome::Quit) => self.quit(event_loop, None),
                 Err(error) => self.quit(event_loop, Some(error)),
             }
-        } else if running.event(&event) {
+        } else if window.event(&event) {
             self.quit(event_loop, None);
         }
     }
 
     fn about_to_wait(&mut self, event_loop: &ActiveEventLoop) {
-        let Some(running) = &self.running else { return };
-        let resume_at = running.resume_at();
+        let Some(window) = &self.window else { return };
+        let resume_at = window.resume_at();
         if Instant::now() >= resume_at {
-            running.request_redraw();
+            window.request_redraw();
             // The window system asks for the frame when it is time, which wakes the loop.
             event_loop.set_control_flow(ControlFlow::Wait);
         } else {

@@ -7,7 +7,7 @@ pub mod meshes;
 pub mod pom;
 pub mod water;
 
-use crate::features::atmosphere::BackgroundPass;
+use crate::features::atmosphere::SkyPass;
 use crate::features::materials::{CustomMaterials, Materials};
 use crate::features::water::waves::WaveMap;
 use crate::frame::FrameData;
@@ -81,7 +81,7 @@ impl LocalScene {
     }
 
     /// Draws the whole image.
-    pub fn draw(&self, pass: &mut wgpu::RenderPass<'_>, materials: &Materials, sky: &BackgroundPass) {
+    pub fn draw(&self, pass: &mut wgpu::RenderPass<'_>, materials: &Materials, sky: &SkyPass) {
         match self {
             Self::Water(scene) => scene.draw(pass),
             Self::Pom(scene) => {

@@ -43,14 +43,14 @@ use winit::window::Window;
 /// Fade-in time of finer chunks: long enough to hide popping, short enough not to be noticed.
 const ARRIVAL_FADE: Duration = Duration::from_millis(250);
 
-/// How long answers to keys are shown.
-const ANSWER_LASTS: Duration = Duration::from_secs(3);
+/// Time on screen of a short notice.
+const NOTICE_DURATION: Duration = Duration::from_secs(3);
 
-/// How long the first hint and a replaced GPU are shown.
-const HINT_LASTS: Duration = Duration::from_secs(12);
+/// Time on screen of the first hint and of the notice that the GPU was opened again.
+const LONG_NOTICE_DURATION: Duration = Duration::from_secs(12);
 
 /// State while the window exists.
-pub struct Running {
+pub struct WindowState {
     window: Arc<Window>,
     gpu: Gpu,
     rebuilds: Rebuilds,
@@ -63,22 +63,24 @@ pub struct Running {
     streamer: WorldStreamer<Box<dyn ChunkStream>>,
     controls: Controls,
     settings: ViewSettings,
-    /// Settings at the start.
-    first_settings: ViewSettings,
-    notice: Option<String>,
+    /// Restored when the view is reset.
+    initial_settings: ViewSettings,
+    /// Line of the panel about the driver.
+    driver_notice: Option<String>,
     clock: Clock,
+    /// Short-lived lines over the picture.
     notices: Notices,
-    /// The world of start and places, once a server announced it.
+    /// World in which `start_pose` and `places` were searched; none before a server announced it.
     world: Option<WorldDigest>,
-    /// The start of the world.
-    start: Pose,
+    start_pose: Pose,
     places: Option<PlaceFinder>,
     /// A place to go to once it is found.
     wanted: Option<Place>,
-    /// View distance before a place widened it, metres.
-    narrow_view_m: Option<u32>,
-    /// The same at the start.
-    first_narrow_m: Option<u32>,
+    /// View distance before a place widened it, metres, restored when the view is reset or another
+    /// place is visited.
+    view_distance_before_place_m: Option<u32>,
+    /// That of the options.
+    initial_view_distance_before_place_m: Option<u32>,
     modifiers: ModifiersState,
     args: Args,
     /// The search for the start of the announced world, which takes longer than a frame.
@@ -92,32 +94,31 @@ pub struct Running {
     takes_screenshot: bool,
     times: FrameTimes,
     frames: usize,
-    first_image: Option<Duration>,
-    drawn: usize,
+    first_picture: Option<Duration>,
+    chunks_drawn: usize,
     instances: usize,
     /// The view of the last frame.
     last_view: Option<ViewParams>,
-    /// Last culling counts.
-    plants: CullStats,
-    /// The next ones, on their way from the GPU.
-    plants_coming: Option<StatsRead>,
-    /// When the last copy of them was recorded.
-    plants_read: Instant,
-    started: Instant,
-    last: Instant,
-    /// No frame before this time.
-    resume_at: Instant,
+    /// The newest counts of culling that arrived.
+    cull_stats: CullStats,
+    /// A copy of newer counts that the GPU has not finished.
+    cull_stats_pending: Option<StatsRead>,
+    /// When the newest copy was recorded.
+    cull_stats_copied_at: Instant,
+    program_started: Instant,
+    last_frame_at: Instant,
+    no_frame_before: Instant,
 }
 
-/// Action after a frame.
-pub enum After {
+/// What the event loop does after a frame.
+pub enum FrameOutcome {
     /// Draw the next one.
     Continue,
     /// End the program.
     Quit,
 }
 
-impl Running {
+impl WindowState {
     /// Opens the window, the GPU and the stream.
     ///
     /// # Errors
@@ -182,16 +183,16 @@ impl Running {
                 Controls::new(start, args.orbit, args.scene.orbit_radius_m())
             },
             settings,
-            first_settings: settings,
-            notice: profile.notice,
+            initial_settings: settings,
+            driver_notice: profile.notice,
             clock,
             notices: Notices::default(),
             world: None,
-            start,
+            start_pose: start,
             places: None,
             wanted: None,
-            narrow_view_m: profile.narrow_view_m,
-            first_narrow_m: profile.narrow_view_m,
+            view_distance_before_place_m: profile.narrow_view_m,
+            initial_view_distance_before_place_m: profile.narrow_view_m,
             modifiers: ModifiersState::empty(),
             search: None,
             args: args.clone(),
@@ -203,16 +204,16 @@ impl Running {
             takes_screenshot: false,
             times: FrameTimes::default(),
             frames: 0,
-            first_image: None,
-            drawn: 0,
+            first_picture: None,
+            chunks_drawn: 0,
             instances: 0,
             last_view: None,
-            plants: CullStats::default(),
-            plants_coming: None,
-            plants_read: now,
-            started,
-            last: now,
-            resume_at: now,
+            cull_stats: CullStats::default(),
+            cull_stats_pending: None,
+            cull_stats_copied_at: now,
+            program_started: started,
+            last_frame_at: now,
+            no_frame_before: now,
             window,
             gpu,
             surface,
@@ -227,7 +228,7 @@ impl Running {
     /// No frame is drawn before this time.
     #[must_use]
     pub const fn resume_at(&self) -> Instant {
-        self.resume_at
+        self.no_frame_before
     }
 
     /// Measurements so far.
@@ -239,12 +240,12 @@ impl Running {
         Stats {
             adapter: self.adapter.clone(),
             frames: self.frames,
-            chunks_drawn: self.drawn,
+            chunks_drawn: self.chunks_drawn,
             triangles: self.instances as u64 * TRIANGLES_PER_INSTANCE,
             terrain_draws: self.renderer.terrain_draws(),
-            plants_drawn: self.plants.clumps,
-            plants_lost: self.plants.clumps_lost,
-            plant_blocks_lost: self.plants.blocks_lost,
+            plants_drawn: self.cull_stats.clumps,
+            plants_lost: self.cull_stats.clumps_lost,
+            plant_blocks_lost: self.cull_stats.blocks_lost,
             gpu_bytes_per_chunk: self.renderer.bytes_per_chunk(),
             delivery: if self.args.scene.is_local() { "none" } else { delivery.name() },
             bytes_received: traffic.bytes_received,
@@ -254,7 +255,7 @@ impl Running {
             gpu_rebuilds: self.rebuilds.done(),
             seconds_to_first_chunk: milestones.first_chunk.map(|at| at.as_secs_f64()),
             seconds_to_complete_view: milestones.complete_view.map(|at| at.as_secs_f64()),
-            seconds_to_first_picture: self.first_image.map(|at| at.as_secs_f64()),
+            seconds_to_first_picture: self.first_picture.map(|at| at.as_secs_f64()),
             frame_ms_p50: self.times.quantile_ms(0.5, usize::MAX),
             frame_ms_p99: self.times.quantile_ms(0.99, usize::MAX),
             chunks_resident: resident,

@@ -1,6 +1,6 @@
 //! A frame of the window: camera, chunks, drawing, panel.
 
-use super::{ANSWER_LASTS, ARRIVAL_FADE, After, HINT_LASTS, Running};
+use super::{ARRIVAL_FADE, FrameOutcome, LONG_NOTICE_DURATION, NOTICE_DURATION, WindowState};
 use crate::camera::{Pose, Projection};
 use crate::features::terrain_clipmap::textures::TILES_PER_FRAME;
 use crate::features::terrain_shadow::pass::PER_FRAME;
@@ -40,22 +40,22 @@ const LONGEST_STEP: Duration = Duration::from_millis(250);
 /// Shown over the first frames.
 const FIRST_HINT: &str = "drag to look, W A S D to fly, 1 to 8 for places, H for all keys";
 
-impl Running {
+impl WindowState {
     /// Draws a frame on the present device.
-    pub(super) fn draw_frame(&mut self) -> anyhow::Result<After> {
+    pub(super) fn draw_frame(&mut self) -> anyhow::Result<FrameOutcome> {
         self.gpu.check()?;
         let (texture, view) = match self.surface.next(&self.gpu) {
             NextTexture::Ready(texture, view) => (texture, view),
             NextTexture::Skip => {
-                self.last = Instant::now();
-                self.resume_at = self.last + HIDDEN_PAUSE;
-                return Ok(After::Continue);
+                self.last_frame_at = Instant::now();
+                self.no_frame_before = self.last_frame_at + HIDDEN_PAUSE;
+                return Ok(FrameOutcome::Continue);
             }
             NextTexture::Lost => {
                 let surface = self.gpu.instance.create_surface(Arc::clone(&self.window))?;
                 let size = self.window.inner_size();
                 self.surface.replace(&self.gpu, surface, (size.width, size.height))?;
-                return Ok(After::Continue);
+                return Ok(FrameOutcome::Continue);
             }
         };
         let step = self.step();
@@ -75,7 +75,7 @@ impl Running {
         };
         let (gpu, renderer) = (&self.gpu, &mut self.renderer);
         let selection =
-            self.streamer.update(&view_params, self.started.elapsed(), ARRIVALS_PER_FRAME, |chunk| {
+            self.streamer.update(&view_params, self.program_started.elapsed(), ARRIVALS_PER_FRAME, |chunk| {
                 renderer.upload(gpu, chunk);
             });
         self.follow_world()?;
@@ -84,7 +84,7 @@ impl Running {
         let view_params = ViewParams { pose, ..view_params };
         self.last_view = Some(view_params);
         let frame = view_params.frame(self.args.scene, self.streamer.cache(), &selection);
-        (self.drawn, self.instances) = (frame.chunks, frame.instances.len());
+        (self.chunks_drawn, self.instances) = (frame.chunks, frame.instances.len());
         let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
         renderer.fill_clipmap(gpu, &frame, TILES_PER_FRAME);
         renderer.trace_shadows(gpu, &frame, PER_FRAME, &mut encoder);
@@ -92,7 +92,7 @@ impl Running {
         let now = Instant::now();
         // Also without the panel: nothing more will come.
         if let Link::GivenUp(cause) = self.streamer.link() {
-            self.notices.show(cause, now, ANSWER_LASTS);
+            self.notices.show(cause, now, NOTICE_DURATION);
         }
         let has_notices = self.notices.shown(now).next().is_some();
         self.has_overlay = self.show_panel || self.show_keys;
@@ -100,11 +100,11 @@ impl Running {
         if self.has_overlay || has_notices || self.overlay.has_events() {
             let readings = Readings {
                 times: &self.times,
-                drawn: self.drawn,
+                drawn: self.chunks_drawn,
                 resident: self.streamer.cache().len(),
                 capacity: self.slots,
                 triangles: self.instances as u64 * TRIANGLES_PER_INSTANCE,
-                plants: self.plants,
+                plants: self.cull_stats,
                 missing: selection.missing,
                 traffic: self.streamer.stream().traffic(),
                 missed: self.streamer.missed(),
@@ -114,13 +114,13 @@ impl Running {
                 local: self.args.scene.panel_legend(),
                 link: self.streamer.link(),
                 refusal: self.streamer.refusal(),
-                now: self.started.elapsed(),
+                now: self.program_started.elapsed(),
                 camera: view_params.pose.to_string(),
                 speed_m: self.controls.speed_m(),
                 orbiting: self.controls.is_orbiting(),
                 drawn_tolerance_px: self.streamer.tolerance_px(&view_params),
                 adapter: &self.adapter,
-                notice: self.notice.as_deref(),
+                notice: self.driver_notice.as_deref(),
                 scene_sun: SunPosition::of(self.args.scene.light().sun),
                 is_under_water: frame.uniforms.eye_height_m <= 0.0,
             };
@@ -142,7 +142,8 @@ impl Running {
             self.overlay.paint(gpu, painted, &mut encoder, &view);
             self.wanted = request.place.or(self.wanted);
             if request.resets {
-                (self.settings, self.narrow_view_m) = (self.first_settings, self.first_narrow_m);
+                (self.settings, self.view_distance_before_place_m) =
+                    (self.initial_settings, self.initial_view_distance_before_place_m);
             }
         }
         let copy = self.copy_cull_stats(now, frame.plants.is_some(), &mut encoder);
@@ -155,9 +156,9 @@ impl Running {
         }
         self.frames += 1;
         self.rebuilds.frame_drawn();
-        if self.first_image.is_none() {
-            self.first_image = Some(self.started.elapsed());
-            self.notices.show(FIRST_HINT, Instant::now(), HINT_LASTS);
+        if self.first_picture.is_none() {
+            self.first_picture = Some(self.program_started.elapsed());
+            self.notices.show(FIRST_HINT, Instant::now(), LONG_NOTICE_DURATION);
         }
         if std::mem::take(&mut self.takes_screenshot) {
             self.save_screenshot(&frame)?;
@@ -165,7 +166,7 @@ impl Running {
         let is_last = self.args.frames.is_some_and(|frames| self.frames >= frames as usize) && self.may_end();
         let vegetation = self.renderer.vegetation().filter(|_| frame.plants.is_some());
         if let Some(vegetation) = vegetation.filter(|_| is_last) {
-            self.plants = vegetation.read_stats(&self.gpu).unwrap_or_default();
+            self.cull_stats = vegetation.read_stats(&self.gpu).unwrap_or_default();
         }
         if is_last && let Some(path) = self.args.window_test.last_frame.clone() {
             self.renderer.finish_shading(&self.gpu, &frame)?;
@@ -174,14 +175,14 @@ impl Running {
         if self.args.window_test.lose_gpu_at.contains(&(self.frames as u32)) {
             self.gpu.device.destroy();
         }
-        Ok(if is_last { After::Quit } else { After::Continue })
+        Ok(if is_last { FrameOutcome::Quit } else { FrameOutcome::Continue })
     }
 
     /// Whether the last frame may be drawn: a test compares pictures of a complete view.
     fn may_end(&self) -> bool {
         let complete = self.streamer.milestones().complete_view;
         self.args.window_test.last_frame.is_none()
-            || complete.is_some_and(|at| self.started.elapsed() > at + 2 * ARRIVAL_FADE)
+            || complete.is_some_and(|at| self.program_started.elapsed() > at + 2 * ARRIVAL_FADE)
     }
 
     /// Searches the start of a world that a server announces, for the first time or in place of
@@ -202,7 +203,7 @@ impl Running {
             if !self.controls.has_moved() {
                 self.controls.start_at(start);
             }
-            self.start = start;
+            self.start_pose = start;
         }
         Ok(())
     }
@@ -211,8 +212,8 @@ impl Running {
     /// frame: starting takes seconds.
     fn step(&mut self) -> Duration {
         let now = Instant::now();
-        let step = if self.frames == 0 { Duration::ZERO } else { now - self.last };
-        self.last = now;
+        let step = if self.frames == 0 { Duration::ZERO } else { now - self.last_frame_at };
+        self.last_frame_at = now;
         let cache = self.streamer.cache();
         let ground = |pose: &Pose| {
             let eye = pose.eye();
@@ -230,15 +231,15 @@ impl Running {
         has_plants: bool,
         encoder: &mut wgpu::CommandEncoder,
     ) -> Option<StatsCopy> {
-        let is_due =
-            self.frames.is_multiple_of(CULL_STATS_INTERVAL) || now - self.plants_read > CULL_STATS_AGE;
-        if !is_due || self.plants_coming.is_some() {
+        let is_due = self.frames.is_multiple_of(CULL_STATS_INTERVAL)
+            || now - self.cull_stats_copied_at > CULL_STATS_AGE;
+        if !is_due || self.cull_stats_pending.is_some() {
             return None;
         }
-        self.plants_read = now;
+        self.cull_stats_copied_at = now;
         let vegetation = self.renderer.vegetation().filter(|_| has_plants);
         if vegetation.is_none() {
-            self.plants = CullStats::default();
+            self.cull_stats = CullStats::default();
         }
         vegetation.map(|vegetation| vegetation.copy_stats(&self.gpu.device, encoder))
     }
@@ -246,11 +247,11 @@ impl Running {
     /// Takes the counts when they have come; never waits. A failed GPU is reported by the next
     /// frame.
     fn follow_cull_stats(&mut self, copy: Option<StatsCopy>) {
-        self.plants_coming = self.plants_coming.take().or_else(|| copy.map(StatsCopy::start));
-        let has_come = self.plants_coming.as_mut().map(|read| read.poll(&self.gpu.device));
+        self.cull_stats_pending = self.cull_stats_pending.take().or_else(|| copy.map(StatsCopy::start));
+        let has_come = self.cull_stats_pending.as_mut().map(|read| read.poll(&self.gpu.device));
         if !matches!(has_come, None | Some(Ok(false))) {
-            let read = self.plants_coming.take();
-            self.plants = read.and_then(|read| read.result().ok()).unwrap_or_default();
+            let read = self.cull_stats_pending.take();
+            self.cull_stats = read.and_then(|read| read.result().ok()).unwrap_or_default();
         }
     }
 
@@ -276,7 +277,7 @@ impl Running {
             },
             Err(error) => format!("{error:#}"),
         };
-        self.notices.show(&line, Instant::now(), 2 * ANSWER_LASTS);
+        self.notices.show(&line, Instant::now(), 2 * NOTICE_DURATION);
         Ok(())
     }
 }

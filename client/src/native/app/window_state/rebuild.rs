@@ -1,26 +1,26 @@
 //! Frames on a new device once the present one is lost.
 
-use super::{After, HINT_LASTS, Running};
+use super::{FrameOutcome, LONG_NOTICE_DURATION, WindowState};
 use crate::features::vegetation::gpu_cull::CullStats;
 use crate::gpu::GpuError;
 use crate::renderer::{RenderOptions, Renderer};
 use std::sync::Arc;
 use std::time::Instant;
 
-impl Running {
+impl WindowState {
     /// Draws a frame; on a new device if the present one is lost.
     ///
     /// # Errors
     /// The GPU failed otherwise, or too often.
-    pub fn redraw(&mut self) -> anyhow::Result<After> {
+    pub fn redraw(&mut self) -> anyhow::Result<FrameOutcome> {
         match self.draw_frame() {
             Err(error) => {
                 let error = error.downcast::<GpuError>()?;
                 let cause = self.rebuilds.begin(&self.gpu, error)?;
                 self.rebuild()?;
                 let line = format!("the GPU failed and was opened again: {cause}");
-                self.notices.show(&line, Instant::now(), HINT_LASTS);
-                Ok(After::Continue)
+                self.notices.show(&line, Instant::now(), LONG_NOTICE_DURATION);
+                Ok(FrameOutcome::Continue)
             }
             drawn => drawn,
         }
@@ -40,7 +40,7 @@ impl Running {
         self.streamer.cache().residents().for_each(|chunk| renderer.upload(gpu, chunk));
         self.adapter = self.gpu.name();
         // Counts of the lost device do not come.
-        (self.plants, self.plants_coming) = (CullStats::default(), None);
+        (self.cull_stats, self.cull_stats_pending) = (CullStats::default(), None);
         Ok(())
     }
 }

@@ -1,6 +1,6 @@
 //! Events of the window: keys, pointer, places.
 
-use super::{ANSWER_LASTS, Running};
+use super::{NOTICE_DURATION, WindowState};
 use crate::native::app::keys::{self, Action};
 use crate::scene::places::PlaceFinder;
 use std::time::{Duration, Instant};
@@ -11,7 +11,7 @@ use winit::window::Fullscreen;
 /// Time for the search of places in a frame; an eighth of frames that take longer.
 const SEARCH: Duration = Duration::from_millis(3);
 
-impl Running {
+impl WindowState {
     /// Takes an event; true to quit.
     pub fn event(&mut self, event: &WindowEvent) -> bool {
         // As it was before the event: Esc takes the focus from a text field.
@@ -60,22 +60,22 @@ impl Running {
                 self.clock.is_paused = !self.clock.is_paused;
                 let line =
                     if self.clock.is_paused { "time paused; press Space to resume" } else { "time goes on" };
-                self.notices.show(line, now, ANSWER_LASTS);
+                self.notices.show(line, now, NOTICE_DURATION);
             }
             Action::ResetView => {
                 self.wanted = None;
                 self.narrow_view();
-                self.controls.start_at(self.start);
+                self.controls.start_at(self.start_pose);
             }
             Action::Help => self.show_keys = !self.show_keys,
             Action::Panel => {
                 self.show_panel = !self.show_panel;
                 if !self.show_panel {
-                    self.notices.show("F1 shows the panel", now, 2 * ANSWER_LASTS);
+                    self.notices.show("F1 shows the panel", now, 2 * NOTICE_DURATION);
                 }
             }
             Action::Go(_) if self.args.scene.is_local() => {
-                self.notices.show("this scene has no places", now, ANSWER_LASTS);
+                self.notices.show("this scene has no places", now, NOTICE_DURATION);
             }
             Action::Go(place) => self.wanted = Some(place),
         }
@@ -96,20 +96,20 @@ impl Running {
             self.narrow_view();
             let needed_m = place.view_distance_m();
             if needed_m > self.settings.view_distance_m && self.args.view_distance.is_none() {
-                self.narrow_view_m = Some(self.settings.view_distance_m);
+                self.view_distance_before_place_m = Some(self.settings.view_distance_m);
                 self.settings.view_distance_m = needed_m;
             }
             self.controls.move_to(pose);
-            self.notices.show(place.label(), Instant::now(), ANSWER_LASTS);
+            self.notices.show(place.label(), Instant::now(), NOTICE_DURATION);
         } else {
             let line = format!("searching: {}", place.label());
-            self.notices.show(&line, Instant::now(), ANSWER_LASTS);
+            self.notices.show(&line, Instant::now(), NOTICE_DURATION);
         }
     }
 
     /// Ends the widening of the view by a place.
     fn narrow_view(&mut self) {
-        if let Some(view_distance_m) = self.narrow_view_m.take() {
+        if let Some(view_distance_m) = self.view_distance_before_place_m.take() {
             self.settings.view_distance_m = view_distance_m;
         }
     }
