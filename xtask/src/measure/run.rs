@@ -57,7 +57,7 @@ impl Run {
         let json = self.file(&format!("{name}.json"));
         // A report of an earlier run must not pass for one of this.
         let _ = std::fs::remove_file(&json);
-        let shown = process::shown(&command);
+        let shown = without_folder(&process::shown(&command), &process::target().display().to_string());
         let ended = process::status(&mut command)?;
         if !ended.success() {
             self.faults.push(format!("`{shown}` failed ({ended})."));
@@ -93,6 +93,12 @@ impl Run {
     }
 }
 
+/// The text of a command in which the build folder of this machine is `target`. Records are
+/// committed, and its path means nothing elsewhere.
+fn without_folder(command: &str, target: &str) -> String {
+    command.replace(&format!("{target}/"), "target/")
+}
+
 /// The bars of a report, judged again. A report without bars is one row that misses.
 pub fn rows(name: &str, report: &Value) -> Vec<Bar> {
     let bars: Option<Vec<Bar>> =
@@ -107,6 +113,14 @@ pub fn rows(name: &str, report: &Value) -> Vec<Bar> {
 mod tests {
     use super::*;
     use serde_json::json;
+
+    #[test]
+    fn commands_in_records_have_no_path_of_the_machine() {
+        let command = "tombolo-lab codec --json /home/anyone/build/measure/codec.json --seeds 3";
+        let expected = "tombolo-lab codec --json target/measure/codec.json --seeds 3";
+        assert_eq!(without_folder(command, "/home/anyone/build"), expected);
+        assert_eq!(without_folder(expected, "/home/anyone/build"), expected);
+    }
 
     #[test]
     fn bars_are_judged_again_and_notes_and_adapter_taken_over() {
