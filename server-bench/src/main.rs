@@ -90,7 +90,7 @@ enum Bench {
     Downloads,
     /// 1,000 clients that never read, beside healthy ones
     Unread,
-    /// 100,000 clients that connect, ask and hang up
+    /// 200,000 clients that connect, ask and hang up
     HangUps,
     /// 5,000 sockets that send nothing or a byte a second, beside new good clients
     HalfOpen,

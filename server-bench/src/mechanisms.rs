@@ -49,7 +49,7 @@ const OVERLOAD: f64 = 2.0;
 /// Time in which late answers still arrive.
 const DRAIN: Duration = Duration::from_secs(4);
 
-/// Different chunks, requested in turn. The cache holds a hundredth of them.
+/// Different chunks, requested in turn. The cache of 1 MiB holds some 400 of them.
 const CHUNKS: usize = 16 * 1024;
 const COARSE_CHUNKS: usize = 2048;
 

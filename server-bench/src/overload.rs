@@ -24,7 +24,7 @@ pub const CONNECTIONS: usize = 64;
 /// Requests outstanding on each connection in the closed loop that measures the capacity.
 pub const WINDOW: usize = 16;
 
-/// Different chunks, requested in turn. The cache holds a hundredth of them.
+/// Different chunks, requested in turn. The cache of 1 MiB holds some 400 of them.
 const CHUNKS: usize = 16 * 1024;
 
 /// Loads as multiples of the capacity. The last one is judged.
@@ -44,8 +44,9 @@ const RECOVERY: Duration = Duration::from_secs(4);
 /// Time after the other loads in which late answers are still counted.
 const DRAIN: Duration = Duration::from_secs(1);
 
-/// Lower bounds of the latency that counts as normal, milliseconds. The first is what the scheduler
-/// of two shared cores alone can add; the second is reported beside it.
+/// Least values of the threshold up to which a latency is normal, milliseconds: the threshold is
+/// `max(2 x p99 at half load, floor)`. The first is what the scheduler of two shared cores alone
+/// can add; the second is reported beside it.
 const NORMAL_FLOORS_MS: [f64; 2] = [50.0, 20.0];
 
 /// How the recovery is defined, for readers of the figures.
@@ -153,7 +154,8 @@ pub struct LoadFigures {
     sent_per_s: f64,
     /// Chunks that arrived before the end of the load.
     goodput_per_s: f64,
-    /// Of all requests that were due in the load, whenever the answer came.
+    /// Of all requests that were due in the load, whenever the answer came, milliseconds. A request
+    /// without a chunk counts as longer than any; none without requests.
     pub chunk_p99_ms: Option<f64>,
     refused: usize,
     refusal_p99_ms: Option<f64>,
@@ -241,6 +243,9 @@ impl Request {
 }
 
 /// Chunks a second with a full window on each connection.
+///
+/// # Errors
+/// A connection fails.
 pub async fn capacity(server: &ServerProcess, keys: &[ChunkKey], length: Duration) -> Result<f64> {
     let connections = server.connect(CONNECTIONS).await?;
     let started = Instant::now();
@@ -255,6 +260,9 @@ pub async fn capacity(server: &ServerProcess, keys: &[ChunkKey], length: Duratio
 
 /// Sends requests at one rate after the other, each for a time. Rates are requests a second over
 /// all connections.
+///
+/// # Errors
+/// A connection fails.
 pub async fn send_at_rates(
     server: &ServerProcess,
     keys: &[ChunkKey],

@@ -1,6 +1,6 @@
-//! Open connections of clients, by site: where places lack, a connection of the site that has the
-//! most ends for one of a site that has fewer. So accepting never stops, whichever clients hold the
-//! places.
+//! Open connections of clients, by site: when places run short, a connection of the site that has
+//! the most ends for one of a site that has fewer. So accepting never stops, whichever clients hold
+//! the places.
 
 use crate::limits::networks::client_site;
 use crate::site_index::SiteIndex;

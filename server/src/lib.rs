@@ -10,7 +10,7 @@
 //! | [`proxy`], [`tls`] | clients behind trusted proxies; TLS of connections |
 //! | [`reload`] | files that are read again |
 //! | [`state`] | application state shared by all connections |
-//! | [`listener`], [`connections`] | accept loop and shutdown; which connections end where places lack |
+//! | [`listener`], [`connections`] | accept loop and shutdown; which connections end when places run short |
 //! | [`http`] | routes |
 //! | [`websocket`] | transport of sessions |
 //! | [`session`] | one task per client |

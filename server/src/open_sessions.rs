@@ -1,4 +1,4 @@
-//! The open sessions: their public figures, and which of them end where memory or places lack.
+//! The open sessions: their public figures, and which of them end when memory or places run short.
 //!
 //! A session publishes its view and counts in [`SessionStats`], which costs a few relaxed stores.
 

@@ -12,8 +12,8 @@ pub const BLOCKS: usize = 8;
 /// Cells along one side of a block.
 const BLOCK_CELLS: usize = CELLS / BLOCKS;
 
-/// Largest vertical distance between a chunk's vertices and its parent's surface in each block,
-/// units, row by row.
+/// Upper bound of the vertical distance between a chunk's vertices and its parent's surface in each
+/// block, units: the largest distance, and 1 for the rounding. Row by row from the north-west.
 pub type BlockErrors = [u32; BLOCKS * BLOCKS];
 
 /// The block errors of the chunk `key` against its parent.

@@ -38,8 +38,10 @@ impl Renderer {
     }
 
     /// Draws the ids of the plants that were last culled, behind the frame's land, and returns
-    /// those of each pixel, row by row from the top; zeros where no plant is visible. For checks;
-    /// blocks until it is drawn. None with several samples per pixel.
+    /// those of each pixel, row by row from the top; zeros where no plant is visible. An id is the
+    /// position of the plant: fine units east of the field's low corner (24 bits) with the kind of
+    /// plant above them, and fine units south with bit 24 set. For checks; blocks until it is
+    /// drawn. None with several samples per pixel.
     ///
     /// # Errors
     /// The device fails.

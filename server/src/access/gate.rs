@@ -18,8 +18,20 @@ pub struct TokenGate {
     tokens: Option<RwLock<Arc<TokenSet>>>,
     file: Option<TokenFile>,
     guesses: GuessLimiter,
+    /// Those of pages of other origins. Such a page presents tokens from the address of its
+    /// visitor, whose own access must not be throttled by it.
+    page_guesses: GuessLimiter,
     metrics: Arc<Metrics>,
     log: Arc<PeerLog>,
+}
+
+/// What presents a token.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Presenter {
+    /// A program, or a page of the server or of an allowed origin.
+    Client,
+    /// A page of another origin.
+    OtherPage,
 }
 
 /// Why a client is not admitted.
@@ -45,7 +57,14 @@ impl TokenGate {
         log: Arc<PeerLog>,
     ) -> Self {
         let tokens = tokens.map(|tokens| RwLock::new(Arc::new(tokens)));
-        Self { tokens, file, guesses: GuessLimiter::default(), metrics, log }
+        Self {
+            tokens,
+            file,
+            guesses: GuessLimiter::default(),
+            page_guesses: GuessLimiter::default(),
+            metrics,
+            log,
+        }
     }
 
     /// Whether clients need a token.
@@ -58,11 +77,20 @@ impl TokenGate {
     ///
     /// # Errors
     /// Why it is not admitted.
-    pub fn check(&self, client: Option<IpAddr>, presented: Option<&str>) -> Result<(), Refusal> {
+    pub fn check(
+        &self,
+        client: Option<IpAddr>,
+        presenter: Presenter,
+        presented: Option<&str>,
+    ) -> Result<(), Refusal> {
         let Some(tokens) = &self.tokens else { return Ok(()) };
         let Some(presented) = presented else { return Err(Refusal::Missing) };
         let (now, digest) = (Instant::now(), TokenDigest::of(presented));
-        if self.guesses.is_exhausted(client, digest.short(), now) {
+        let guesses = match presenter {
+            Presenter::Client => &self.guesses,
+            Presenter::OtherPage => &self.page_guesses,
+        };
+        if guesses.is_exhausted(client, digest.short(), now) {
             self.metrics.limits.tokens_throttled.inc();
             self.log.report(client, "token guesses");
             return Err(Refusal::Throttled);
@@ -81,7 +109,7 @@ impl TokenGate {
                 Err(Refusal::Expired)
             }
             Known::Unknown => {
-                self.guesses.charge(client, digest.short(), now);
+                guesses.charge(client, digest.short(), now);
                 self.metrics.limits.tokens_wrong.inc();
                 self.log.report(client, "wrong token");
                 Err(Refusal::Wrong)
@@ -133,7 +161,7 @@ struct SessionGate {
 
 impl TokenCheck for SessionGate {
     fn admits(&self, presented: Option<&str>) -> bool {
-        self.gate.check(self.client, presented).is_ok()
+        self.gate.check(self.client, Presenter::Client, presented).is_ok()
     }
 }
 
@@ -148,29 +176,42 @@ mod tests {
     #[tokio::test(start_paused = true)]
     async fn guesses_are_throttled_per_address_and_a_throttled_address_learns_nothing() {
         let gate = gate(Some(TokenSet::one("sesame")), None);
+        let check = |client, presented: Option<&str>| gate.check(client, Presenter::Client, presented);
         let [one, other] = ["10.0.0.1", "10.0.0.2"].map(|text| Some(text.parse().unwrap()));
-        assert_eq!(gate.check(one, Some("sesame")), Ok(()));
-        assert_eq!(gate.check(one, None), Err(Refusal::Missing));
+        assert_eq!(check(one, Some("sesame")), Ok(()));
+        assert_eq!(check(one, None), Err(Refusal::Missing));
         let mut outcomes = Vec::new();
         for guess in 0..2214 {
-            outcomes.push(gate.check(one, Some(&guess.to_string())).unwrap_err());
+            outcomes.push(check(one, Some(&guess.to_string())).unwrap_err());
         }
         let looked_at = outcomes.iter().filter(|outcome| **outcome == Refusal::Wrong).count();
         assert_eq!(looked_at, 10, "of 2,214 guesses in no time");
-        assert_eq!(gate.check(one, Some("sesame")), Err(Refusal::Throttled));
-        assert_eq!(gate.check(other, Some("sesame")), Ok(()), "another address");
+        assert_eq!(check(one, Some("sesame")), Err(Refusal::Throttled));
+        assert_eq!(check(other, Some("sesame")), Ok(()), "another address");
         assert_eq!(
             (gate.metrics.limits.tokens_wrong.get(), gate.metrics.limits.tokens_throttled.get()),
             (10, 2205)
         );
         tokio::time::advance(std::time::Duration::from_secs(7)).await;
-        assert_eq!(gate.check(one, Some("sesame")), Ok(()));
+        assert_eq!(check(one, Some("sesame")), Ok(()));
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn guesses_of_a_page_of_another_origin_do_not_throttle_its_visitor() {
+        let gate = gate(Some(TokenSet::one("sesame")), None);
+        let visitor = Some("10.0.0.1".parse().unwrap());
+        for guess in 0..100 {
+            let _ = gate.check(visitor, Presenter::OtherPage, Some(&guess.to_string()));
+        }
+        assert_eq!(gate.check(visitor, Presenter::OtherPage, Some("sesame")), Err(Refusal::Throttled));
+        assert_eq!(gate.check(visitor, Presenter::Client, Some("sesame")), Ok(()));
     }
 
     #[test]
     fn without_tokens_every_client_is_admitted() {
-        assert_eq!(gate(None, None).check(None, Some("anything")), Ok(()));
-        assert_eq!(gate(None, None).check(None, None), Ok(()));
+        for presented in [Some("anything"), None] {
+            assert_eq!(gate(None, None).check(None, Presenter::Client, presented), Ok(()));
+        }
     }
 
     #[test]
@@ -179,18 +220,16 @@ mod tests {
         std::fs::write(&path, "first\n").unwrap();
         let file = TokenFile::new(path.clone());
         let gate = gate(Some(file.read().unwrap()), Some(file));
+        let check = |client, presented: Option<&str>| gate.check(client, Presenter::Client, presented);
         let reload = || gate.read().map(|read| gate.replace(read));
         assert_eq!(reload(), Ok(Reloaded::Unchanged));
         std::fs::write(&path, "second\n").unwrap();
-        assert_eq!(gate.check(None, Some("second")), Err(Refusal::Wrong));
+        assert_eq!(check(None, Some("second")), Err(Refusal::Wrong));
         assert_eq!(reload(), Ok(Reloaded::Changed));
-        assert_eq!(
-            (gate.check(None, Some("second")), gate.check(None, Some("first"))),
-            (Ok(()), Err(Refusal::Wrong))
-        );
+        assert_eq!((check(None, Some("second")), check(None, Some("first"))), (Ok(()), Err(Refusal::Wrong)));
         std::fs::write(&path, "").unwrap();
         assert!(reload().is_err());
-        assert_eq!(gate.check(None, Some("second")), Ok(()));
+        assert_eq!(check(None, Some("second")), Ok(()));
         std::fs::remove_file(path).unwrap();
         assert!(reload().is_err());
     }

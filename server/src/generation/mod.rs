@@ -16,10 +16,10 @@
 //! A chunk is a key in an edition ([`crate::chunk_id`]). A request gets the edition that the source
 //! offers at its time; one for the base gets the land that the seed makes.
 //!
-//! Modules from the bottom up: [`result`], [`cost`] (estimates), [`views`] (view selection),
-//! [`queue`] (scheduling), `threads` (lock and threads), `active` (active flows and their shares),
-//! `shared` (state of the service), `runner` (execution), [`flow`] (requests of one client),
-//! [`service`] (the public handle).
+//! Modules from the bottom up: [`result`], [`cost`] (estimates), `work_time`, [`views`] (view
+//! selection), [`queue`] (scheduling), `threads` (lock and threads), `active` (active flows and
+//! their shares), `shared` (state of the service), `runner` (execution), [`flow`] (requests of one
+//! client), [`service`] (the public handle).
 
 mod active;
 pub mod cost;
@@ -37,6 +37,7 @@ mod shared;
 mod test_source;
 mod threads;
 pub mod views;
+mod work_time;
 
 pub use flow::{Flow, FlowEvent};
 pub use result::{Completion, FrameResult, GenerationError};

@@ -12,6 +12,7 @@ use super::result::{Completion, FrameResult, GenerationError};
 use super::shared::Shared;
 use super::threads::{Threads, run_broadcasts};
 use super::views::ViewJob;
+use super::work_time::{WorkStart, WorkTime};
 use crate::cache::memory::CachedFrame;
 use crate::chunk_id::ChunkId;
 use crate::mechanism::Mechanism;
@@ -109,6 +110,15 @@ fn charged_us(spent: Duration) -> i64 {
     i64::try_from(spent.min(MAX_CHARGE).as_micros()).unwrap_or(i64::MAX)
 }
 
+/// What a job with this advance charge takes from its turn, microseconds: the turns of a whole site
+/// must not wait for a thread that was interrupted. Processor time is no interruption: it counts as
+/// a whole, so that a client cannot buy costly chunks for the estimate of the cheap ones of their
+/// level.
+fn turn_charge_us(advance_us: i64, spent: WorkTime) -> i64 {
+    let longest = advance_us.saturating_mul(MAX_OUTLIER as i64).saturating_add(QUANTUM_US);
+    charged_us(spent.clock).min(longest.max(charged_us(spent.processor)))
+}
+
 impl Shared {
     /// Takes turns until the queue is empty.
     pub(super) fn run(&self) {
@@ -194,15 +204,14 @@ impl Shared {
             self.lock().missing_frame(id, |request| finished.of(request).is_some())
         };
         while let Some(MissingFrame { delivery, must_be_compact, payment }) = missing(&finished) {
-            let started = Instant::now();
+            let started = WorkStart::now();
             let effort = if must_be_compact { Effort::Compact } else { self.effort(id) };
             let frame = self.frame(id, delivery, effort, &mut chunk);
-            let spent_us = charged_us(started.elapsed());
+            let spent = started.elapsed();
+            let spent_us = charged_us(spent.clock);
             match payment {
                 Payment::Advance(charge) => {
-                    // The turns of a whole site must not wait for a thread that was interrupted.
-                    let longest = charge.cost_us().saturating_mul(MAX_OUTLIER as i64) + QUANTUM_US;
-                    finished.advance_us = spent_us.min(longest);
+                    finished.advance_us = turn_charge_us(charge.cost_us(), spent);
                     charge.settle(spent_us);
                 }
                 Payment::Request(path, bucket) => {

@@ -1,6 +1,7 @@
 //! The sender of a request: address, headers and access token.
 
-use crate::access::gate::Refusal;
+use crate::access::gate::{Presenter, Refusal};
+use crate::access::hosts::Target;
 use crate::http::problem::{Problem, ProblemKind};
 use crate::proxy::ClientAddress;
 use crate::state::ServerState;
@@ -17,6 +18,8 @@ pub struct Client {
     pub address: Option<IpAddr>,
     /// Headers of the request.
     pub headers: HeaderMap,
+    /// Where it was sent; none without `Host`.
+    target: Option<Target>,
 }
 
 impl<S: Sync> FromRequestParts<S> for Client {
@@ -24,7 +27,8 @@ impl<S: Sync> FromRequestParts<S> for Client {
 
     async fn from_request_parts(parts: &mut Parts, _: &S) -> Result<Self, Infallible> {
         let address = parts.extensions.get::<ClientAddress>().map(|client| client.0);
-        Ok(Self { address, headers: parts.headers.clone() })
+        let target = parts.extensions.get::<Target>().cloned();
+        Ok(Self { address, headers: parts.headers.clone(), target })
     }
 }
 
@@ -34,7 +38,9 @@ impl Client {
     /// # Errors
     /// The token is missing, wrong or expired, or the address has guessed too often.
     pub fn authorise(&self, state: &ServerState) -> Result<(), Problem> {
-        state.gate.check(self.address, bearer(&self.headers)).map_err(problem)
+        let is_allowed = state.config.allowed_origins.allows(&self.headers, self.target.as_ref());
+        let presenter = if is_allowed { Presenter::Client } else { Presenter::OtherPage };
+        state.gate.check(self.address, presenter, bearer(&self.headers)).map_err(problem)
     }
 }
 

@@ -83,8 +83,8 @@ pub fn routes() -> Vec<Route> {
         Route::new("/v1/{digest}/height/{x}/{z}", Any, get(height::get)),
         Route::new("/v1/live", Same, get(live::get)),
         Route::new("/v1/stream", Allowed, any(session::stream)),
-        Route::new("/livez", Same, get(health::livez)),
-        Route::new("/readyz", Same, get(health::readyz)),
+        Route::new(PROBES[0], Same, get(health::livez)),
+        Route::new(PROBES[1], Same, get(health::readyz)),
         Route::new("/metrics", Same, get(health::metrics)),
     ]
 }
@@ -161,12 +161,17 @@ impl<'a> RequestPlace<'a> {
     }
 }
 
+/// Routes without a place: they never wait, and clients of their address must not make a probe
+/// fail.
+const PROBES: [&str; 2] = ["/livez", "/readyz"];
+
 /// Counts all responses, and rejected requests by kind.
 async fn count(State(state): State<Arc<ServerState>>, request: Request, next: Next) -> Response {
     // A connection answers up to 16 requests that arrived together before it lets others run.
     tokio::task::yield_now().await;
     let client = request.extensions().get::<ClientAddress>().map(|client| client.0);
-    let mut response = match RequestPlace::take(&state, client) {
+    let needs_place = !PROBES.contains(&request.uri().path());
+    let mut response = match needs_place.then(|| RequestPlace::take(&state, client)).transpose() {
         Ok(_place) => next.run(request).await,
         Err(problem) => problem.into_response(),
     };
@@ -177,4 +182,31 @@ async fn count(State(state): State<Arc<ServerState>>, request: Request, next: Ne
     // Browsers must not guess another content type.
     response.headers_mut().insert(header::X_CONTENT_TYPE_OPTIONS, HeaderValue::from_static("nosniff"));
     response
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::ServerConfig;
+    use axum::body::Body;
+    use std::net::Ipv4Addr;
+    use tower::ServiceExt;
+
+    #[tokio::test]
+    async fn a_probe_is_answered_where_its_address_has_no_place_for_a_request() {
+        let config =
+            ServerConfig { threads: 1, max_sessions_per_address: Some(1), ..ServerConfig::default() };
+        let state = Arc::new(ServerState::new(config).unwrap());
+        let client = IpAddr::from(Ipv4Addr::new(192, 0, 2, 1));
+        let places: Vec<_> =
+            std::iter::from_fn(|| state.requests_per_ip.try_acquire(Some(client), 0)).collect();
+        assert!(!places.is_empty());
+        for (path, status) in [("/v1/world", 503), ("/livez", 200), ("/readyz", 200)] {
+            let request =
+                Request::get(path).header(header::HOST, "localhost").extension(ClientAddress(client));
+            let request = request.body(Body::empty()).unwrap();
+            let response = router(Arc::clone(&state)).oneshot(request).await.unwrap();
+            assert_eq!(response.status(), status, "{path}");
+        }
+    }
 }

@@ -1,6 +1,6 @@
 //! The route of sessions: checks handshake, origin and token, and starts a session task.
 
-use crate::access::gate::Refusal;
+use crate::access::gate::{Presenter, Refusal};
 use crate::access::hosts::Target;
 use crate::http::client;
 use crate::http::problem::{Problem, ProblemKind};
@@ -23,7 +23,7 @@ use std::net::IpAddr;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Instant;
-use tokio::sync::OwnedSemaphorePermit;
+use tokio::time::timeout;
 use tokio_util::sync::CancellationToken;
 
 /// Start of a subprotocol entry with a token.
@@ -56,7 +56,7 @@ pub async fn stream(State(state): State<Arc<ServerState>>, mut request: Request)
         Err(problem) => return problem.into_response(),
     };
     let mut offer = state.offer.clone();
-    match state.gate.check(peer, presented.as_deref()) {
+    match state.gate.check(peer, Presenter::Client, presented.as_deref()) {
         Ok(()) => {}
         // The hello of the session has to contain it.
         Err(Refusal::Missing) => offer.token = Some(state.gate.of_session(peer)),
@@ -95,7 +95,10 @@ pub async fn stream(State(state): State<Arc<ServerState>>, mut request: Request)
     let number = state.next_session.fetch_add(1, Ordering::Relaxed);
     let tracker = state.sessions.clone();
     tracker.spawn(async move {
-        let Some(socket) = upgrade.socket(READ_LIMIT).await else { return };
+        // Bounded, as its client may not read the response. Boxed, so that an idle session stays
+        // small.
+        let upgraded = timeout(state.config.handshake_timeout, upgrade.socket(READ_LIMIT));
+        let Ok(Some(socket)) = Box::pin(upgraded).await else { return };
         let bucket = state.rate_limiter.bucket(peer);
         let open = state.open_sessions.register(number, peer);
         let ended = driver::serve(socket, &state, offer, open, bucket, parent).await;
@@ -106,7 +109,9 @@ pub async fn stream(State(state): State<Arc<ServerState>>, mut request: Request)
         if ended.reason.is_breach() {
             state.peer_log.report(peer, ended.reason.name());
         }
-        free_places((permit, ip_permit), ended.eviction, ended.backoff_until, &state.draining).await;
+        // For clients of other sites: no session that could be displaced holds it any more.
+        drop(permit);
+        keep_in_share(ip_permit, ended.backoff_until, &state.draining).await;
     });
     response
 }
@@ -120,21 +125,18 @@ fn displace_for(client: Option<IpAddr>, offer: &ServerOffer, state: &ServerState
     }
 }
 
-/// Frees the places of a session that has ended, once its refusal back-off has ended: otherwise its
-/// client could skip the pauses by a new session. The place of a displaced session is free at once,
-/// for the client of another site that waits for it; that of its own site is not.
-async fn free_places(
-    (permit, ip_permit): (OwnedSemaphorePermit, IpPermit),
-    eviction: Option<Eviction>,
+/// Counts a session that has ended for its network until its refusal back-off has ended: otherwise
+/// its client could skip the pauses by a new session.
+async fn keep_in_share(
+    ip_permit: IpPermit,
     backoff_until: tokio::time::Instant,
     draining: &CancellationToken,
 ) {
-    let permit = (eviction != Some(Eviction::Displaced)).then_some(permit);
     tokio::select! {
         () = tokio::time::sleep_until(backoff_until) => {}
         () = draining.cancelled() => {}
     }
-    drop((permit, ip_permit));
+    drop(ip_permit);
 }
 
 /// The response to an invalid handshake.
@@ -190,27 +192,18 @@ mod tests {
     use futures_util::FutureExt;
     use std::pin::pin;
     use std::time::Duration;
-    use tokio::sync::Semaphore;
 
     #[tokio::test]
-    async fn the_place_of_a_displaced_session_is_free_before_its_backoff_ends() {
-        for (eviction, is_free) in
-            [(None, false), (Some(Eviction::Memory), false), (Some(Eviction::Displaced), true)]
-        {
-            let (places, per_ip) = (Arc::new(Semaphore::new(1)), PerIpLimiter::new(1));
-            let client = Some(IpAddr::from([10, 0, 0, 1]));
-            let permit = Arc::clone(&places).try_acquire_owned().unwrap();
-            let ip_permit = per_ip.try_acquire(client, 0).unwrap();
-            let (until, draining) =
-                (tokio::time::Instant::now() + Duration::from_secs(3600), CancellationToken::new());
-            let mut freeing = pin!(free_places((permit, ip_permit), eviction, until, &draining));
-            assert!(freeing.as_mut().now_or_never().is_none());
-            assert_eq!(places.available_permits(), usize::from(is_free), "{eviction:?}");
-            assert!(per_ip.try_acquire(client, 0).is_none(), "it counts for its network");
-            draining.cancel();
-            freeing.await;
-            assert_eq!(places.available_permits(), 1);
-            assert!(per_ip.try_acquire(client, 0).is_some());
-        }
+    async fn a_session_counts_for_its_network_until_its_backoff_ends() {
+        let (per_ip, draining) = (PerIpLimiter::new(1), CancellationToken::new());
+        let client = Some(IpAddr::from([10, 0, 0, 1]));
+        let ip_permit = per_ip.try_acquire(client, 0).unwrap();
+        let until = tokio::time::Instant::now() + Duration::from_secs(3600);
+        let mut keeping = pin!(keep_in_share(ip_permit, until, &draining));
+        assert!(keeping.as_mut().now_or_never().is_none());
+        assert!(per_ip.try_acquire(client, 0).is_none());
+        draining.cancel();
+        keeping.await;
+        assert!(per_ip.try_acquire(client, 0).is_some());
     }
 }

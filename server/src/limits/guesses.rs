@@ -1,27 +1,42 @@
 //! Wrong access tokens per client network: each takes one of a few places, which become free again
 //! at a fixed rate.
+//!
+//! An IPv6 client counts for its /64, /56 and /48, whichever of them is its owner's: the owner of a
+//! /48 has 65,536 of the least networks.
 
-use crate::limits::networks::client_network;
+use crate::limits::networks::{Network, client_networks};
 use std::collections::HashMap;
 use std::net::IpAddr;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 use tokio::time::Instant;
 
-/// Wrong tokens that an address may present at once.
-const BURST: u32 = 10;
-
-/// Time until one more is allowed: 14,400 guesses a day.
-const REFILL: Duration = Duration::from_secs(6);
+/// The limits of a client's networks, the least first: a single client, and up to four and sixteen
+/// of those that share a network.
+const LIMITS: [Limit; 3] = [
+    Limit { burst: 10, refill: Duration::from_secs(6) },
+    Limit { burst: 40, refill: Duration::from_millis(1500) },
+    Limit { burst: 160, refill: Duration::from_millis(375) },
+];
 
 /// Networks in a generation of the table at most: what 32,768 buckets hold. Both take some 3 MiB.
 const GENERATION: usize = 28_672;
 
+/// The wrong tokens of a network.
+#[derive(Clone, Copy, Debug)]
+struct Limit {
+    /// So many at once.
+    burst: u32,
+    /// Time until one more is allowed; 6 s are 14,400 a day.
+    refill: Duration,
+}
+
 /// See the module. The standard hasher is keyed at random: peers choose the addresses.
 ///
 /// The table is bounded by two generations: when the recent one is full, it takes the place of the
-/// older one, whose networks are forgotten. A peer with this many networks has ten guesses from
-/// each in any case. Further networks are not refused, as their tokens may be valid.
+/// older one, whose networks are forgotten. A guess enters three networks at most and one that is
+/// refused none, so that only a peer with thousands of the largest networks has its own forgotten.
+/// Further networks are not refused, as their tokens may be valid.
 #[derive(Debug, Default)]
 pub struct GuessLimiter {
     table: Mutex<Table>,
@@ -29,16 +44,22 @@ pub struct GuessLimiter {
 
 #[derive(Debug, Default)]
 struct Table {
-    recent: HashMap<IpAddr, Guesses>,
-    older: HashMap<IpAddr, Guesses>,
+    recent: HashMap<Network, Guesses>,
+    older: HashMap<Network, Guesses>,
 }
 
 impl Table {
-    fn get(&self, network: &IpAddr) -> Option<&Guesses> {
+    fn get(&self, network: &Network) -> Option<&Guesses> {
         self.recent.get(network).or_else(|| self.older.get(network))
     }
 
-    fn insert(&mut self, network: IpAddr, guesses: Guesses) {
+    /// Whether the token is the latest wrong one of the client's least network.
+    fn is_repeated(&self, address: IpAddr, token: TokenHash) -> bool {
+        let least = client_networks(address).next();
+        least.and_then(|least| self.get(&least)).is_some_and(|guesses| guesses.last == token)
+    }
+
+    fn insert(&mut self, network: Network, guesses: Guesses) {
         if self.recent.len() >= GENERATION && !self.recent.contains_key(&network) {
             self.older = std::mem::take(&mut self.recent);
         }
@@ -58,26 +79,30 @@ struct Guesses {
 pub type TokenHash = u64;
 
 impl GuessLimiter {
-    /// Whether the network has no place left for this token. A peer without an address is not
-    /// limited.
+    /// Whether one of the client's networks has no place left for this token. A peer without an
+    /// address is not limited.
     #[must_use]
     pub fn is_exhausted(&self, address: Option<IpAddr>, token: TokenHash, now: Instant) -> bool {
-        let Some(network) = address.map(client_network) else { return false };
-        self.table()
-            .get(&network)
-            .is_some_and(|guesses| guesses.last != token && guesses.free_at > now + REFILL * (BURST - 1))
+        let Some(address) = address else { return false };
+        let table = self.table();
+        let is_full = |(network, limit): (Network, Limit)| {
+            let guesses = table.get(&network);
+            guesses.is_some_and(|guesses| guesses.free_at > now + limit.refill * (limit.burst - 1))
+        };
+        !table.is_repeated(address, token) && client_networks(address).zip(LIMITS).any(is_full)
     }
 
-    /// Takes a place for a wrong token.
+    /// Takes a place in each network for a wrong token.
     pub fn charge(&self, address: Option<IpAddr>, token: TokenHash, now: Instant) {
-        let Some(network) = address.map(client_network) else { return };
+        let Some(address) = address else { return };
         let mut table = self.table();
-        let known = table.get(&network);
-        if known.is_some_and(|guesses| guesses.last == token) {
+        if table.is_repeated(address, token) {
             return;
         }
-        let free_at = known.map_or(now, |guesses| guesses.free_at.max(now)) + REFILL;
-        table.insert(network, Guesses { free_at, last: token });
+        for (network, limit) in client_networks(address).zip(LIMITS) {
+            let known = table.get(&network).map_or(now, |guesses| guesses.free_at.max(now));
+            table.insert(network, Guesses { free_at: known + limit.refill, last: token });
+        }
     }
 
     fn table(&self) -> MutexGuard<'_, Table> {
@@ -108,9 +133,35 @@ mod tests {
         assert_eq!(guesses_at(start), 10);
         assert_eq!(guesses_at(start + Duration::from_secs(60)), 10);
         assert_eq!(guesses_at(start + Duration::from_secs(72)), 2);
-        assert!(!limiter.is_exhausted(Some("2001:db8:0:1::1".parse().unwrap()), 1, start));
+        let neighbour = Some("2001:db8:0:1::1".parse().unwrap());
+        assert!(!limiter.is_exhausted(neighbour, 1, start + Duration::from_secs(72)));
         limiter.charge(None, 1, start);
         assert!(!limiter.is_exhausted(None, 2, start));
+    }
+
+    #[test]
+    fn the_owner_of_a_short_prefix_has_a_few_times_as_many_guesses() {
+        let (limiter, start) = (GuessLimiter::default(), Instant::now());
+        let mut token = 0;
+        // One guess from each /64 of a prefix.
+        let mut guesses = |prefix: u128, networks: u128, now| {
+            let mut count = 0;
+            for network in 0..networks {
+                let address = Some(IpAddr::from((prefix | network << 64).to_be_bytes()));
+                token += 1;
+                if !limiter.is_exhausted(address, token, now) {
+                    limiter.charge(address, token, now);
+                    count += 1;
+                }
+            }
+            count
+        };
+        let [small, large] = [0x2001_0db8_0001_u128, 0x2001_0db8_0002].map(|prefix| prefix << 80);
+        assert_eq!(guesses(small, 1 << 8, start), 40, "from a /56");
+        assert_eq!(guesses(small, 1 << 8, start + Duration::from_secs(3)), 2);
+        assert_eq!(guesses(large, 1 << 16, start), 160, "from a /48");
+        assert_eq!(guesses(large, 1 << 16, start), 0, "nothing is forgotten");
+        assert_eq!(guesses(large, 1 << 16, start + Duration::from_secs(3)), 8);
     }
 
     #[test]

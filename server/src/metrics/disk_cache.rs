@@ -20,7 +20,7 @@ pub struct DiskCacheMetrics {
     pub corrupt: Counter,
     /// IO errors.
     pub io_errors: Counter,
-    /// Reads over the deadline.
+    /// Reads given up after their timeout.
     pub timeouts: Counter,
     /// Frames deleted to keep the budget.
     pub evictions: Counter,

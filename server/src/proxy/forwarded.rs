@@ -33,10 +33,11 @@ fn client(
     let mut client = connected;
     let values: Vec<_> = headers.get_all(name).iter().collect();
     for value in values.into_iter().rev() {
-        let Ok(value) = value.to_str() else { return client };
-        for element in value.rsplit(',') {
+        // Not the line as a whole: a proxy appends its element to bytes that are no text, too.
+        for element in value.as_bytes().rsplit(|byte| *byte == b',') {
+            let element = std::str::from_utf8(element).ok();
             // Hidden or malformed: the proxy that wrote it is the last one known.
-            let Some(address) = address(element.trim()) else { return client };
+            let Some(address) = element.and_then(|element| address(element.trim())) else { return client };
             client = address;
             if !is_trusted(address) {
                 return client;
@@ -66,14 +67,17 @@ fn node(text: &str) -> Option<IpAddr> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use axum::http::HeaderValue;
 
     type By = fn(IpAddr, &HeaderMap, fn(IpAddr) -> bool) -> IpAddr;
 
+    /// Lines are Latin-1, so that `\u{ff}` is a byte that is no text.
     fn assert_clients(name: &'static str, by: By, cases: &[(&[&str], &str)]) {
         for (lines, expected) in cases {
             let mut headers = HeaderMap::new();
             for line in *lines {
-                headers.append(name, line.parse().unwrap());
+                let bytes: Vec<u8> = line.chars().map(|letter| u8::try_from(letter).unwrap()).collect();
+                headers.append(name, HeaderValue::from_bytes(&bytes).unwrap());
             }
             // Trusted are 10.0.0.0/8 and ::1.
             let is_trusted =
@@ -101,6 +105,9 @@ mod tests {
                 (&["::ffff:192.0.2.7"], "192.0.2.7"),
                 (&["192.0.2.7, nonsense"], "10.0.0.1"),
                 (&["192.0.2.7, nonsense, 10.0.0.2"], "10.0.0.2"),
+                (&["\u{ff}, 192.0.2.7"], "192.0.2.7"),
+                (&["192.0.2.7, \u{ff}, 10.0.0.2"], "10.0.0.2"),
+                (&["192.0.2.7", "\u{ff}"], "10.0.0.1"),
                 (&["192.0.2.7,"], "10.0.0.1"),
                 (&["10.0.0.9, ::1"], "10.0.0.9"),
             ],
@@ -119,6 +126,7 @@ mod tests {
                 (&["for=198.51.100.1, proto=https; for=\"192.0.2.7:80\" ;by=10.0.0.1"], "192.0.2.7"),
                 (&["for=\"x, for=198.51.100.1\"", "for=192.0.2.7, for=10.0.0.2"], "192.0.2.7"),
                 (&["for=192.0.2.7, for=unknown"], "10.0.0.1"),
+                (&["for=\u{ff}, for=192.0.2.7"], "192.0.2.7"),
                 (&["for=192.0.2.7, for=_hidden, for=10.0.0.2"], "10.0.0.2"),
                 (&["by=192.0.2.7"], "10.0.0.1"),
             ],

@@ -119,6 +119,24 @@ async fn an_address_that_guesses_tokens_is_throttled_and_others_are_not() {
     assert!(server.metric("tombolo_tokens_refused_total{outcome=\"wrong\"}").await >= 10.0);
 }
 
+/// A page of another origin presents tokens from the address of its visitor.
+#[tokio::test]
+async fn guesses_of_a_page_of_another_origin_do_not_throttle_its_visitor() {
+    let server = Server::start_with(with_token()).await;
+    let path = server.path("height/0/0");
+    let page = ("Origin", "https://elsewhere.example");
+    let mut last = 0;
+    for guess in 0..40 {
+        let token = format!("Bearer {guess}");
+        last = server.request("GET", &path, &[("Authorization", token.as_str()), page]).await.status;
+    }
+    assert_eq!(last, 429);
+    let right = ("Authorization", "Bearer open sesame");
+    assert_eq!(server.request("GET", &path, &[right, page]).await.status, 429, "its own guesses count");
+    assert_eq!(server.request("GET", &path, &[right]).await.status, 200);
+    assert_eq!(server.request("GET", &path, &[right, ("Origin", "http://localhost")]).await.status, 200);
+}
+
 /// A server with an expired token, `one`, and a valid one, `two`, from a file of this name.
 async fn with_token_list(name: &str) -> Server {
     let path = std::env::temp_dir().join(format!("tombolo-{name}-{}.toml", std::process::id()));

@@ -33,9 +33,11 @@ async fn limits_count_the_clients_of_a_named_proxy() {
         let (status, _first) = open(&server, [127, 0, 0, 1], &[(name, &one)]).await;
         assert_eq!(status, 101);
         assert_eq!(open(&server, [127, 0, 0, 1], &[(name, &one)]).await.0, 503, "the same client");
-        // What a client claims of itself changes nothing.
-        let lie = format!("{prefix}203.0.113.7, {one}");
-        assert_eq!(open(&server, [127, 0, 0, 1], &[(name, &lie)]).await.0, 503);
+        // What a client claims of itself changes nothing, be it text or not.
+        for lie in ["203.0.113.7", "\u{ff}"] {
+            let lie = format!("{prefix}{lie}, {one}");
+            assert_eq!(open(&server, [127, 0, 0, 1], &[(name, &lie)]).await.0, 503);
+        }
         let (status, _second) = open(&server, [127, 0, 0, 1], &[(name, &other)]).await;
         assert_eq!(status, 101, "another client");
     }

@@ -1,5 +1,6 @@
 //! Sessions that send streams of valid messages as fast as the server reads, and read all answers.
 
+use crate::faults;
 use crate::messages::Generator;
 use std::net::SocketAddr;
 use std::time::Duration;
@@ -9,24 +10,32 @@ use tokio::net::TcpStream;
 /// Longest time without progress of a session; a test that reaches it fails.
 const TEST_TIMEOUT: Duration = Duration::from_secs(120);
 
+/// Sessions of a peer with faults, on average, at least.
+const FAULTS_OF_PEER: u64 = 8;
+
 /// A Close frame of code 1000, masked by zeros; and the server's answer.
 const CLOSE: [u8; 8] = [0x88, 0x82, 0, 0, 0, 0, 0x03, 0xe8];
 const CLOSED: [u8; 4] = [0x88, 2, 0x03, 0xe8];
 
-const HANDSHAKE: &[u8] = b"GET /v1/stream HTTP/1.1\r\nHost: localhost\r\nConnection: upgrade\r\n\
+/// The request of a session.
+pub const HANDSHAKE: &[u8] = b"GET /v1/stream HTTP/1.1\r\nHost: localhost\r\nConnection: upgrade\r\n\
     Upgrade: websocket\r\nSec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\
     Sec-WebSocket-Protocol: tombolo.v1\r\n\r\n";
 
-/// Runs sessions of so many messages each. Panics if one of them ends before its own Close frame.
-pub fn run(address: SocketAddr, sessions: u64, messages: u64, seed: u64) {
+/// Runs sessions of so many messages each beside peers with faults, until each of these has
+/// failed a few times. Panics if a session without faults ends before its own Close frame.
+pub fn run(address: SocketAddr, sessions: u64, messages: u64, seed: u64, faulty_peers: u64) {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
     runtime.block_on(async {
         let running: Vec<_> = (0..sessions)
             .map(|number| tokio::spawn(session(address, messages, seed.wrapping_mul(1 << 16) + number)))
             .collect();
+        let faults = faults::start(address, faulty_peers, seed);
         for session in running {
             session.await.expect("no session fails");
         }
+        let all_failed = faults.reach(FAULTS_OF_PEER * faulty_peers);
+        tokio::time::timeout(TEST_TIMEOUT, all_failed).await.expect("peers with faults have sessions");
     });
 }
 

@@ -1,5 +1,6 @@
 //! Streams of valid messages: every message, every extreme, in any order and in any frames. No such
-//! stream may end a session, and none may keep the task that accepts connections from its turn.
+//! stream may end a session, and none may keep the task that accepts connections from its turn,
+//! neither alone nor beside peers whose connections fail in all ways.
 //!
 //! The server runs on one thread here, so that all tasks wait for each other. Time is processor
 //! time of that thread: what other programs of the machine do does not count.
@@ -14,10 +15,12 @@
 //! | --- | --- |
 //! | `messages` | random valid messages and frames |
 //! | `clients` | sessions that send them and read everything |
+//! | `faults` | peers whose connections fail |
 //! | `watchdog` | longest time between two turns of a task |
 #![cfg(target_os = "linux")]
 
 mod clients;
+mod faults;
 mod messages;
 mod watchdog;
 
@@ -28,6 +31,9 @@ use std::time::Duration;
 
 /// Sessions at once.
 const SESSIONS: u64 = 16;
+
+/// Peers with faults at once, beside the sessions.
+const FAULTY_PEERS: u64 = 16;
 
 /// Messages in all, in `cargo ci`.
 const MESSAGES: u64 = 1600;
@@ -54,23 +60,23 @@ fn config(world_seed: u64, without: Option<Mechanism>) -> ServerConfig {
 }
 
 /// Sends streams to a server; returns its longest turn. Panics if a session ends.
-fn longest_turn(config: ServerConfig, messages: u64, seed: u64) -> Duration {
+fn longest_turn(config: ServerConfig, messages: u64, seed: u64, faulty_peers: u64) -> Duration {
     let watched = watchdog::start(config);
-    clients::run(watched.address, SESSIONS, messages / SESSIONS, seed);
+    clients::run(watched.address, SESSIONS, messages / SESSIONS, seed, faulty_peers);
     watched.stop()
 }
 
 /// Writes the figures of the long form where `TOMBOLO_STREAM_REPORT` says.
-fn report(messages: u64, longest: Duration, blocking: Duration) {
+fn report(messages: u64, longest: Duration, beside_faults: Duration, blocking: Duration) {
     let Some(path) = std::env::var_os("TOMBOLO_STREAM_REPORT") else { return };
     let ms = |time: Duration| time.as_secs_f64() * 1000.0;
     let bar = ms(LONGEST_TURN);
     // Fewer messages show less than the bar says.
-    let of_all = (messages >= REPORTED_MESSAGES).then(|| ms(longest));
+    let of_all = |turn| (messages >= REPORTED_MESSAGES).then(|| ms(turn));
     let bars = [
         Bar::at_most(
             "10^6 valid messages, 16 sessions: longest turn of the accepting thread",
-            of_all,
+            of_all(longest),
             "ms",
             bar,
         )
@@ -78,8 +84,12 @@ fn report(messages: u64, longest: Duration, blocking: Duration) {
             "processor time between two turns of a task on the thread of all connections; no session \
                  ended",
         ),
+        Bar::at_most("the same beside 16 peers with faults", of_all(beside_faults), "ms", bar).with_note(
+            "connections that send byte by byte, read nothing, fall silent, and end in a request or in \
+                 a message; no other session ended",
+        ),
         Bar::at_least("the same, views selected on that thread (control)", Some(ms(blocking)), "ms", bar)
-            .with_note(format!("of {MESSAGES} messages")),
+            .with_note(format!("of {MESSAGES} messages, without faults")),
     ];
     std::fs::write(path, serde_json::json!({ "bars": bars }).to_string()).expect("the report");
 }
@@ -87,17 +97,24 @@ fn report(messages: u64, longest: Duration, blocking: Duration) {
 #[test]
 fn valid_streams_end_no_session_and_keep_no_task_waiting() {
     let (seed, long) = (number("TOMBOLO_STREAM_SEED").unwrap_or(1), number("TOMBOLO_STREAM_MESSAGES"));
-    let longest = longest_turn(config(1, None), long.unwrap_or(MESSAGES), seed);
-    println!("{} messages of {SESSIONS} sessions: longest turn {longest:?}", long.unwrap_or(MESSAGES));
+    let messages = long.unwrap_or(MESSAGES);
+    let longest = longest_turn(config(1, None), messages, seed, 0);
+    println!("{messages} messages of {SESSIONS} sessions: longest turn {longest:?}");
+    let beside_faults = longest_turn(config(3, None), messages, seed, FAULTY_PEERS);
+    println!("beside {FAULTY_PEERS} peers with faults: longest turn {beside_faults:?}");
     // The control, a handler that blocks: views are selected on the thread of the connections.
-    let blocking = longest_turn(config(2, Some(Mechanism::ViewTurns)), MESSAGES, seed);
+    let blocking = longest_turn(config(2, Some(Mechanism::ViewTurns)), MESSAGES, seed, 0);
     println!("with a blocking handler: longest turn {blocking:?}");
+    let longest_of_both = longest.max(beside_faults);
     if let Some(messages) = long {
-        report(messages, longest, blocking);
-        assert!(longest <= LONGEST_TURN, "{longest:?}, seed {seed}");
+        report(messages, longest, beside_faults, blocking);
+        assert!(longest_of_both <= LONGEST_TURN, "{longest:?} and {beside_faults:?}, seed {seed}");
         return;
     }
-    assert!(blocking >= CONTROL * longest, "{blocking:?} with a blocking handler, {longest:?} without");
+    assert!(
+        blocking >= CONTROL * longest_of_both,
+        "{blocking:?} with a blocking handler, {longest:?} and {beside_faults:?} without",
+    );
 }
 
 #[test]

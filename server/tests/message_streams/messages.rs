@@ -67,6 +67,17 @@ impl Generator {
         }
     }
 
+    /// The frames of a Hello and so many messages.
+    pub fn stream(&mut self, messages: usize) -> Vec<u8> {
+        let hello = self.hello();
+        let mut bytes = self.frames(&hello);
+        for _ in 0..messages {
+            let message = self.message();
+            bytes.extend(self.frames(&message));
+        }
+        bytes
+    }
+
     /// A quarter of the views are the most expensive that a server accepts.
     fn view(&mut self, id: u32) -> View {
         if self.random.below(4) == 0 {

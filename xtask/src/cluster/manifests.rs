@@ -191,7 +191,8 @@ fn the_compose_file_has_the_fields_of_the_specification() {
     assert!(others.len() == 2 && others.values().all(is_free), "{others:?}");
     let replica = services["replica-1"].as_ref().unwrap();
     assert!(replica.read_only && replica.cap_drop == ["ALL"]);
-    // More than the 10 s of the drain and the 5 s of the last traces.
+    // More than the drain (5 s), pending reads and tiles (1 s), the last writes (2 s) and the last
+    // traces (5 s).
     assert_eq!(replica.stop_grace_period.as_deref(), Some("25s"));
 }
 

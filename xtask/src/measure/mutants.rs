@@ -105,6 +105,9 @@ fn tested(mutants: &mut std::process::Command, folder: &Path) -> Result<Outcomes
     // Lists of an earlier run must not pass for those of this.
     let _ = fs::remove_dir_all(folder);
     fs::create_dir_all(folder).with_context(|| format!("cannot create {}", folder.display()))?;
+    // Each copy of the code has a target folder of its own: several at once must not take each
+    // other's test programs.
+    mutants.env_remove("CARGO_TARGET_DIR");
     let ended = process::status(mutants.arg("--output").arg(folder))?;
     if let Some(fault) = fault(ended.code()) {
         bail!("cargo-mutants: {fault} ({ended})");

@@ -45,7 +45,7 @@ pub fn rows(run: &mut Run) -> Result<Vec<Bar>> {
 }
 
 /// LERC, whose library is C++ and bound with libclang, in a package of its own. If it cannot be
-/// built, its row misses and a note says why.
+/// built, its row has no figure, and the record says why.
 fn lerc(run: &mut Run) -> Result<()> {
     let target = process::target().join("lerc");
     let mut build = process::cargo("build --release --locked --target-dir");

@@ -16,7 +16,7 @@ const CELL: usize = 16;
 /// The nodes of a chunk: heights, roughness, exposure.
 pub struct Nodes([[f32; STORED]; 3]);
 
-/// The field between the nodes along one row or column of vertices.
+/// The nodes of the field interpolated to one row or column of vertices: one of each cell along it.
 pub struct Line([[f32; COUNT]; 3]);
 
 impl Nodes {

@@ -187,7 +187,7 @@ pub enum PomMethod {
     /// Linear search with refinement.
     Linear,
     /// Relaxed cone stepping with bisection; cones are baked on first use in a parallax scene. The
-    /// land has none and uses max mips.
+    /// land has none and uses `pyramid`.
     Cones,
     /// Maximum-mipmap traversal: exact.
     #[value(name = "pyramid", alias = "max-mip")]
@@ -262,7 +262,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn knobs_are_held_in_range_and_what_is_no_number_is_the_default() {
+    fn settings_are_held_in_range_and_what_is_no_number_is_the_default() {
         let odd = |value: f32, steps: u32| {
             let horizon =
                 Horizon { strength: value, height_bias: value, safe_threshold: value, falloff: value };

@@ -43,7 +43,8 @@ impl ExposurePass {
         Self { layout, pipelines, sums }
     }
 
-    /// Bindings over the HDR colour.
+    /// Bindings over the HDR colour, which has one sample per pixel. The buffers: uniforms of the
+    /// frame, parameters of the post-processing, and the exposure, which is written.
     #[must_use]
     pub fn bind(
         &self,

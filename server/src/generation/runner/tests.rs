@@ -126,6 +126,36 @@ async fn a_panic_fails_its_own_job_only() {
     assert_eq!(fixture.metrics.generation.jobs_failed.get(), 1);
 }
 
+#[test]
+fn a_turn_pays_for_processor_time_but_not_for_a_long_interruption() {
+    let time = |clock, processor| WorkTime {
+        clock: Duration::from_micros(clock),
+        processor: Duration::from_micros(processor),
+    };
+    let charge = |clock, processor| turn_charge_us(100, time(clock, processor));
+    assert_eq!(charge(90, 80), 90);
+    assert_eq!(charge(900, 100), 900);
+    assert_eq!(charge(7000, 100), 100 * MAX_OUTLIER as i64 + QUANTUM_US, "interrupted, or waits for a disk");
+    assert_eq!(charge(7000, 6900), 6900, "a costly chunk among cheap ones");
+    assert_eq!(charge(7_000_000, 6_900_000), 1_000_000);
+    assert_eq!(turn_charge_us(i64::MAX, time(7000, 0)), 7000);
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn the_time_of_a_sleeping_thread_is_no_processor_time() {
+    let least = Duration::from_millis(5);
+    let started = WorkStart::now();
+    std::thread::sleep(least);
+    let slept = started.elapsed();
+    assert!(slept.clock >= least && slept.processor < slept.clock, "{slept:?}");
+    while started.elapsed().processor < least {
+        std::hint::spin_loop();
+    }
+    let worked = started.elapsed();
+    assert!(worked.processor >= least && worked.clock > slept.clock, "{worked:?}, {slept:?}");
+}
+
 /// The terrain, with a count of measured errors.
 struct CountingSource(ProceduralSource, Arc<AtomicUsize>);
 
