@@ -20,7 +20,7 @@ const MESSAGES: usize = 40;
 /// Most bytes that are sent one by one.
 const DRIBBLED: usize = 200;
 
-/// Longest silence, and longest wait for a server that reads nothing more.
+/// Longest stall, and longest wait for a server that reads nothing more.
 const STALL: Duration = Duration::from_millis(300);
 
 /// Time between two looks at the count.
