@@ -157,8 +157,11 @@ pub async fn unread(
     keys: &[ChunkKey],
     until: Instant,
 ) -> Result<()> {
-    let stream = Either::Left(open_from(source, address, Some(RECEIVE_BUFFER)).await?);
-    let mut connection = Connection::over(stream, address).await?;
+    let stream = open_from(source, address, Some(RECEIVE_BUFFER)).await?;
+    // There are more attempts a minute than ports, and one that ended otherwise would keep its port
+    // for so long.
+    stream.set_zero_linger()?;
+    let mut connection = Connection::over(Either::Left(stream), address).await?;
     let start = index * TOGETHER % keys.len();
     let own: Vec<_> = keys.iter().copied().cycle().skip(start).take(MAX_CREDITS as usize / 4).collect();
     let send = async {
