@@ -100,7 +100,7 @@ impl SessionStats {
     }
 
     fn evict(&self, eviction: Eviction) {
-        // The first cause stays: the place of a displaced session is promised.
+        // The first cause stays: the end of the session states it.
         let _ = self.eviction.compare_exchange(0, eviction as u8, Ordering::Relaxed, Ordering::Relaxed);
         self.evicted.notify_one();
     }

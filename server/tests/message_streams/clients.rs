@@ -11,7 +11,7 @@ use tokio::net::TcpStream;
 const TEST_TIMEOUT: Duration = Duration::from_secs(120);
 
 /// Sessions of a peer with faults, on average, at least.
-const FAULTS_OF_PEER: u64 = 8;
+const FAULTS_OF_PEER: u32 = 8;
 
 /// A Close frame of code 1000, masked by zeros; and the server's answer.
 const CLOSE: [u8; 8] = [0x88, 0x82, 0, 0, 0, 0, 0x03, 0xe8];
@@ -24,7 +24,7 @@ pub const HANDSHAKE: &[u8] = b"GET /v1/stream HTTP/1.1\r\nHost: localhost\r\nCon
 
 /// Runs sessions of so many messages each beside peers with faults, until each of these has
 /// failed a few times. Panics if a session without faults ends before its own Close frame.
-pub fn run(address: SocketAddr, sessions: u64, messages: u64, seed: u64, faulty_peers: u64) {
+pub fn run(address: SocketAddr, sessions: u64, messages: u64, seed: u64, faulty_peers: u32) {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
     runtime.block_on(async {
         let running: Vec<_> = (0..sessions)

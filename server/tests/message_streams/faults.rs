@@ -6,11 +6,11 @@ use crate::messages::Generator;
 use std::io;
 use std::net::SocketAddr;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 use test_support::Random;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::TcpStream;
+use tokio::sync::Semaphore;
 use tokio::task::{JoinSet, yield_now};
 use tokio::time::{sleep, timeout};
 
@@ -23,45 +23,41 @@ const DRIBBLED: usize = 200;
 /// Longest stall, and longest wait for a server that reads nothing more.
 const STALL: Duration = Duration::from_millis(300);
 
-/// Time between two looks at the count.
-const POLL: Duration = Duration::from_millis(5);
-
 /// Time for the answer to the request of a session.
 const ANSWER_TIMEOUT: Duration = Duration::from_secs(10);
 
 /// Peers that connect again after each fault, until this is dropped.
 pub struct Faults {
     _peers: JoinSet<()>,
-    count: Arc<AtomicU64>,
+    /// A permit for each session that has begun and failed.
+    failed: Arc<Semaphore>,
 }
 
 /// Starts the peers on the runtime of the caller.
-pub fn start(address: SocketAddr, peers: u64, seed: u64) -> Faults {
-    let (mut running, count) = (JoinSet::new(), Arc::default());
+pub fn start(address: SocketAddr, peers: u32, seed: u64) -> Faults {
+    let (mut running, failed) = (JoinSet::new(), Arc::new(Semaphore::new(0)));
     for number in 0..peers {
         // Other streams than those of the valid sessions.
-        let seed = !seed.wrapping_mul(1 << 16).wrapping_add(number);
-        running.spawn(peer(address, seed, Arc::clone(&count)));
+        let seed = !seed.wrapping_mul(1 << 16).wrapping_add(number.into());
+        running.spawn(peer(address, seed, Arc::clone(&failed)));
     }
-    Faults { _peers: running, count }
+    Faults { _peers: running, failed }
 }
 
 impl Faults {
     /// Waits until so many sessions have begun and failed.
-    pub async fn reach(&self, count: u64) {
-        while self.count.load(Ordering::Relaxed) < count {
-            sleep(POLL).await;
-        }
+    pub async fn reach(&self, count: u32) {
+        let _permits = self.failed.acquire_many(count).await.expect("it is never closed");
     }
 }
 
 /// One connection after the other.
-async fn peer(address: SocketAddr, seed: u64, count: Arc<AtomicU64>) {
+async fn peer(address: SocketAddr, seed: u64, failed: Arc<Semaphore>) {
     let (mut random, mut generator) = (Random(seed), Generator::new(seed));
     loop {
         // The server may end a session first.
         if connection(address, &mut random, &mut generator).await.unwrap_or(false) {
-            count.fetch_add(1, Ordering::Relaxed);
+            failed.add_permits(1);
         }
         yield_now().await;
     }

@@ -33,7 +33,7 @@ use std::time::Duration;
 const SESSIONS: u64 = 16;
 
 /// Peers with faults at once, beside the sessions.
-const FAULTY_PEERS: u64 = 16;
+const FAULTY_PEERS: u32 = 16;
 
 /// Messages in all, in `cargo ci`.
 const MESSAGES: u64 = 1600;
@@ -60,7 +60,7 @@ fn config(world_seed: u64, without: Option<Mechanism>) -> ServerConfig {
 }
 
 /// Sends streams to a server; returns its longest turn. Panics if a session ends.
-fn longest_turn(config: ServerConfig, messages: u64, seed: u64, faulty_peers: u64) -> Duration {
+fn longest_turn(config: ServerConfig, messages: u64, seed: u64, faulty_peers: u32) -> Duration {
     let watched = watchdog::start(config);
     clients::run(watched.address, SESSIONS, messages / SESSIONS, seed, faulty_peers);
     watched.stop()
