@@ -6,7 +6,7 @@ use super::queue::{Charge, Enqueued, FlowId, FlowPath, FrameRequest};
 use super::result::{Completion, FrameResult, GenerationError};
 use super::runner;
 use super::shared::Shared;
-use super::threads::Threads;
+use super::threads::Executor;
 use super::views::ViewJob;
 use crate::chunk_id::ChunkId;
 use crate::limits::rate_limit::TokenBucket;
@@ -17,10 +17,11 @@ use protocol::Delivery;
 use protocol::server::ChunkRequest;
 use protocol::server::ViewSelection;
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 use terrain::{ChunkKey, Land};
 use tokio::sync::mpsc::{UnboundedReceiver, UnboundedSender, unbounded_channel};
-use tokio::sync::oneshot;
+use tokio::sync::oneshot::{self, error::TryRecvError};
+use tokio::time::Instant;
 
 /// A result for a flow.
 #[derive(Debug)]
@@ -45,7 +46,7 @@ struct Download {
 /// One client of the service. The threads are shared fairly between flows.
 pub struct Flow {
     pub(super) shared: Arc<Shared>,
-    threads: Arc<Threads>,
+    threads: Arc<dyn Executor>,
     /// Whose turns it takes: its own, or those of all downloads of a client network.
     turns: FlowPath,
     /// Of an HTTP request. Boxed: sessions have none.
@@ -70,7 +71,7 @@ pub struct Flow {
 impl Flow {
     pub(super) fn new(
         shared: Arc<Shared>,
-        threads: Arc<Threads>,
+        threads: Arc<dyn Executor>,
         id: FlowId,
         turns: FlowPath,
         bucket: TokenBucket,
@@ -150,7 +151,7 @@ impl Flow {
 
     fn charge_bytes(&self, bytes: usize) {
         if self.bucket.is_limited() {
-            self.bucket.charge_bytes(bytes, tokio::time::Instant::now());
+            self.bucket.charge_bytes(bytes, Instant::now());
         }
     }
 
@@ -184,7 +185,7 @@ impl Flow {
         let enqueued = queue.enqueue(request, cost_us);
         if enqueued == Enqueued::NewJob {
             metrics.generation.pending_jobs.set(queue.jobs() as i64);
-            runner::start(&self.shared, &self.threads, &mut queue);
+            runner::start(&self.shared, &*self.threads, &mut queue);
         }
         drop(queue);
         match enqueued {
@@ -201,7 +202,7 @@ impl Flow {
                 // Charged in advance, so that jobs in flight are paid for, and refunded if the job
                 // is not run. Without the lock of the queue: the table of buckets may be swept.
                 if self.bucket.is_limited() {
-                    self.bucket.charge_chunk(cost_us, tokio::time::Instant::now());
+                    self.bucket.charge_chunk(cost_us, Instant::now());
                 }
             }
         }
@@ -217,22 +218,35 @@ impl Flow {
         let job = ViewJob { selection, land, bucket, spent, room, completion };
         let mut queue = self.shared.lock();
         queue.add_view(self.turns, job);
-        runner::start(&self.shared, &self.threads, &mut queue);
+        runner::start(&self.shared, &*self.threads, &mut queue);
     }
 
     /// Waits for chunks or for the selection in flight; forever without requests. Cancel safe.
     pub async fn next_event(&mut self) -> FlowEvent {
         tokio::select! {
-            selection = received(&mut self.selection) => {
-                self.selection = None;
-                self.remove_open(1);
-                selection.map_or(FlowEvent::ViewFailed, |selection| FlowEvent::View(Box::new(selection)))
-            }
+            biased;
+            selection = received(&mut self.selection) => self.selected(selection),
             Some(done) = self.receiver.recv() => {
                 self.receive(&done);
                 FlowEvent::Chunks(done)
             }
         }
+    }
+
+    /// The next event if there is one now.
+    pub fn try_event(&mut self) -> Option<FlowEvent> {
+        match self.selection.as_mut().map(oneshot::Receiver::try_recv) {
+            Some(Ok(selection)) => Some(self.selected(Some(selection))),
+            Some(Err(TryRecvError::Closed)) => Some(self.selected(None)),
+            Some(Err(TryRecvError::Empty)) | None => self.try_completions().map(FlowEvent::Chunks),
+        }
+    }
+
+    /// The end of the selection in flight; none if it panicked.
+    fn selected(&mut self, selection: Option<ViewSelection>) -> FlowEvent {
+        self.selection = None;
+        self.remove_open(1);
+        selection.map_or(FlowEvent::ViewFailed, |selection| FlowEvent::View(Box::new(selection)))
     }
 
     fn add_open(&mut self, count: u32) {

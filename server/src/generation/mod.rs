@@ -43,3 +43,5 @@ pub use flow::{Flow, FlowEvent};
 pub use result::{Completion, FrameResult, GenerationError};
 pub use service::Generation;
 pub use shared::Limits;
+pub use threads::{Executor, Turns};
+pub use work_time::WorkClock;

@@ -10,9 +10,9 @@ use super::cost::MAX_OUTLIER;
 use super::queue::{Charge, FlowId, FlowPath, FrameRequest, MissingFrame, Payment, Queue};
 use super::result::{Completion, FrameResult, GenerationError};
 use super::shared::Shared;
-use super::threads::{Threads, run_broadcasts};
+use super::threads::Executor;
 use super::views::ViewJob;
-use super::work_time::{WorkStart, WorkTime};
+use super::work_time::WorkTime;
 use crate::cache::memory::CachedFrame;
 use crate::chunk_id::ChunkId;
 use crate::mechanism::Mechanism;
@@ -23,9 +23,10 @@ use protocol::{Delivery, chunk_codec};
 use rustc_hash::FxHashMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 use terrain::Chunk;
 use tokio::sync::mpsc::UnboundedSender;
+use tokio::time::Instant;
 use tracing::Span;
 
 /// Backlog of a thread above which cheap chunks have the fast encoding, microseconds of work.
@@ -97,11 +98,11 @@ struct Found {
 
 /// Starts a runner unless all threads have one. A runner takes turns until the queue is empty, so
 /// there are never more runners than threads.
-pub fn start(shared: &Arc<Shared>, threads: &Threads, queue: &mut Queue) {
+pub fn start(shared: &Arc<Shared>, threads: &dyn Executor, queue: &mut Queue) {
     if queue.runners < shared.limits.threads {
         queue.runners += 1;
         let shared = Arc::clone(shared);
-        threads.spawn(move || shared.run());
+        threads.spawn(Box::new(move || shared.run_turn()));
     }
 }
 
@@ -120,48 +121,45 @@ fn turn_charge_us(advance_us: i64, spent: WorkTime) -> i64 {
 }
 
 impl Shared {
-    /// Takes turns until the queue is empty.
-    pub(super) fn run(&self) {
+    /// Runs the next turn. False if the queue is empty: the runner has ended.
+    pub(super) fn run_turn(&self) -> bool {
         let deadline = self.limits.deadline;
-        loop {
-            // A runner may go on for hours.
-            run_broadcasts();
-            let turn = {
-                let mut queue = self.lock();
-                let turn = queue.take(QUANTUM_US, deadline, Instant::now());
-                if !turn.has_work() {
-                    queue.runners -= 1;
-                }
-                self.metrics.generation.pending_jobs.set(queue.jobs() as i64);
-                turn
-            };
-            self.metrics.generation.jobs_cancelled.inc_by(turn.cancelled);
-            self.metrics.generation.jobs_expired.inc_by(turn.expired.len() as u64);
-            for request in turn.expired {
-                // The flow may have ended in the meantime; likewise below.
-                let _ = request.sender.send(vec![(request.chunk, Err(GenerationError::Overloaded))]);
+        let turn = {
+            let mut queue = self.lock();
+            let turn = queue.take(QUANTUM_US, deadline, Instant::now());
+            if !turn.has_work() {
+                queue.runners -= 1;
             }
-            turn.refunds.into_iter().for_each(Charge::refund);
-            if let Some((view, budget_us)) = turn.view {
-                self.select_view(turn.path, view, budget_us);
-            } else if turn.chunks.is_empty() {
-                return;
-            } else {
-                let run = |id| {
-                    let span = turn.traced.iter().find(|(traced, _)| *traced == id).map(|(_, span)| span);
-                    let _entered = span.map(Span::enter);
-                    self.run_job(id)
-                };
-                let finished: Vec<GeneratedFrames> = turn.chunks.into_iter().map(run).collect();
-                // Before the sessions learn of it: a span that is open when the process ends is
-                // lost.
-                drop(turn.traced);
-                let spent_us: i64 = finished.iter().map(|frames| frames.advance_us).sum();
-                self.send_results(&finished, |queue| {
-                    queue.end_turn(turn.path, spent_us - turn.expected_us, None);
-                });
-            }
+            self.metrics.generation.pending_jobs.set(queue.jobs() as i64);
+            turn
+        };
+        self.metrics.generation.jobs_cancelled.inc_by(turn.cancelled);
+        self.metrics.generation.jobs_expired.inc_by(turn.expired.len() as u64);
+        for request in turn.expired {
+            // The flow may have ended in the meantime; likewise below.
+            let _ = request.sender.send(vec![(request.chunk, Err(GenerationError::Overloaded))]);
         }
+        turn.refunds.into_iter().for_each(Charge::refund);
+        if let Some((view, budget_us)) = turn.view {
+            self.select_view(turn.path, view, budget_us);
+            return true;
+        }
+        if turn.chunks.is_empty() {
+            return false;
+        }
+        let run = |id| {
+            let span = turn.traced.iter().find(|(traced, _)| *traced == id).map(|(_, span)| span);
+            let _entered = span.map(Span::enter);
+            self.run_job(id)
+        };
+        let finished: Vec<GeneratedFrames> = turn.chunks.into_iter().map(run).collect();
+        // Before the sessions learn of it: a span that is open when the process ends is lost.
+        drop(turn.traced);
+        let spent_us: i64 = finished.iter().map(|frames| frames.advance_us).sum();
+        self.send_results(&finished, |queue| {
+            queue.end_turn(turn.path, spent_us - turn.expected_us, None);
+        });
+        true
     }
 
     /// Continues a view within its budget, or until a newly active flow waits: that flow has the
@@ -174,7 +172,9 @@ impl Shared {
             let queue = self.lock();
             queue.is_next_new(path.site) || queue.has_stopped_views()
         };
-        let Ok((is_done, spent)) = catch_unwind(AssertUnwindSafe(|| job.run(budget_us, must_stop))) else {
+        let Ok((is_done, spent)) =
+            catch_unwind(AssertUnwindSafe(|| job.run(&*self.clock, budget_us, must_stop)))
+        else {
             self.metrics.generation.jobs_failed.inc();
             tracing::error!(view = ?job.selection.view(), "view selection panicked");
             self.lock().end_turn(path, budget_us, None);
@@ -183,7 +183,7 @@ impl Shared {
         };
         self.metrics.generation.view_busy_seconds.inc_by(spent.as_secs_f64());
         let spent_us = charged_us(spent);
-        job.bucket.charge_work(spent_us, tokio::time::Instant::now());
+        job.bucket.charge_work(spent_us, Instant::now());
         if is_done {
             self.metrics.generation.view_seconds.observe(job.spent.as_secs_f64());
             self.lock().end_turn(path, spent_us, None);
@@ -204,10 +204,10 @@ impl Shared {
             self.lock().missing_frame(id, |request| finished.of(request).is_some())
         };
         while let Some(MissingFrame { delivery, must_be_compact, payment }) = missing(&finished) {
-            let started = WorkStart::now();
+            let started = WorkTime::now(&*self.clock);
             let effort = if must_be_compact { Effort::Compact } else { self.effort(id) };
             let frame = self.frame(id, delivery, effort, &mut chunk);
-            let spent = started.elapsed();
+            let spent = started.elapsed(&*self.clock);
             let spent_us = charged_us(spent.clock);
             match payment {
                 Payment::Advance(charge) => {
@@ -216,7 +216,7 @@ impl Shared {
                 }
                 Payment::Request(path, bucket) => {
                     self.lock().charge(path, spent_us);
-                    bucket.charge_work(spent_us, tokio::time::Instant::now());
+                    bucket.charge_work(spent_us, Instant::now());
                 }
             }
             finished.results.push(frame);
@@ -233,7 +233,7 @@ impl Shared {
         effort: Effort,
         chunk: &mut Option<Chunk>,
     ) -> GeneratedFrame {
-        let (started, is_first) = (Instant::now(), chunk.is_none());
+        let (started, is_first) = (self.clock.clock(), chunk.is_none());
         let result = catch_unwind(AssertUnwindSafe(|| {
             // With a chunk in memory, encoding is faster than reading.
             if chunk.is_none()
@@ -255,9 +255,9 @@ impl Shared {
             }
             let chunk = chunk.as_ref().expect("found or made");
             let _part = part!("encode");
-            let started = Instant::now();
+            let started = self.clock.clock();
             let frame = chunk_codec::encode_with(delivery, effort, chunk, &self.world);
-            (frame, origin, made + started.elapsed())
+            (frame, origin, made + self.time_since(started))
         }));
         let Ok((frame, origin, made)) = result else {
             self.metrics.generation.jobs_failed.inc();
@@ -269,7 +269,7 @@ impl Shared {
         if is_first {
             traces::current().record("origin", origin.name());
             // The cost of a job includes reads from disk and store.
-            self.costs.record(id.key, started.elapsed());
+            self.costs.record(id.key, self.time_since(started));
         }
         if is_first && origin == Origin::Made {
             self.metrics.generation.seconds.observe(made.as_secs_f64());
@@ -316,9 +316,14 @@ impl Shared {
 
     fn generate(&self, id: ChunkId, known_error: Option<u32>) -> Found {
         let _part = part!("generate");
-        let started = Instant::now();
+        let started = self.clock.clock();
         let chunk = self.source.chunk(id, known_error);
-        Found { chunk, frame: None, generation: started.elapsed() }
+        Found { chunk, frame: None, generation: self.time_since(started) }
+    }
+
+    /// The time since a reading of the clock.
+    fn time_since(&self, started: Duration) -> Duration {
+        self.clock.clock().saturating_sub(started)
     }
 
     /// The fast encoding for level 0 under backlog: bytes are cheaper than time then. Encoding is a

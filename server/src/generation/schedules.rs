@@ -27,9 +27,10 @@ use protocol::server::ChunkRequest;
 use rustc_hash::FxHashMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, Mutex};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 use terrain::constants::VERTEX_COUNT;
 use terrain::{Chunk, ChunkKey, GrassSeed, WorldDigest};
+use tokio::time::Instant;
 
 /// Schedules of each kind without the variable.
 const SCHEDULES: usize = 2_000;
@@ -124,7 +125,7 @@ fn request(flow: &mut Flow, key: ChunkKey, bug: Option<Bug>) {
         let shared = Arc::clone(&shared);
         shuttle::thread::spawn(move || match bug {
             Some(Bug::LateLeave) => run_and_leave_late(&shared),
-            _ => shared.run(),
+            _ => while shared.run_turn() {},
         });
     }
 }

@@ -6,7 +6,8 @@ use super::flow::Flow;
 use super::queue::{FlowId, FlowPath, Queue};
 use super::runner;
 use super::shared::{Limits, Shared};
-use super::threads::{Mutex, Threads};
+use super::threads::{Executor, Mutex, Threads};
+use super::work_time::{SystemClock, WorkClock};
 use crate::cache::disk::Disk;
 use crate::cache::memory::FrameCache;
 use crate::limits::rate_limit::TokenBucket;
@@ -29,7 +30,7 @@ use terrain::ChunkKey;
 #[derive(Clone)]
 pub struct Generation {
     pub(super) shared: Arc<Shared>,
-    threads: Arc<Threads>,
+    threads: Arc<dyn Executor>,
 }
 
 impl Generation {
@@ -69,7 +70,31 @@ impl Generation {
         store: Option<Store>,
         metrics: Arc<Metrics>,
     ) -> Result<Self, ThreadPoolBuildError> {
-        let threads = Threads::start(limits.threads)?;
+        let threads = Arc::new(Threads::start(limits.threads)?);
+        Ok(Self::with_parts(source, limits, (disk, store), threads, SystemClock::default(), metrics))
+    }
+
+    /// A service with a memory cache only, whose turns run on an executor with a clock: for
+    /// simulations. At most `limits.threads` runners at once.
+    #[must_use]
+    pub fn on(
+        threads: Arc<dyn Executor>,
+        clock: impl WorkClock,
+        source: impl ChunkSource,
+        limits: Limits,
+        metrics: Arc<Metrics>,
+    ) -> Self {
+        Self::with_parts(source, limits, (None, None), threads, clock, metrics)
+    }
+
+    fn with_parts(
+        source: impl ChunkSource,
+        limits: Limits,
+        (disk, store): (Option<Disk>, Option<Store>),
+        threads: Arc<dyn Executor>,
+        clock: impl WorkClock,
+        metrics: Arc<Metrics>,
+    ) -> Self {
         let queue = Queue::new(limits.jobs);
         let has_turns = limits.without != Some(Mechanism::Turns);
         let queue = if has_turns { queue } else { queue.first_in_first_out() };
@@ -81,13 +106,14 @@ impl Generation {
             store,
             queue: Mutex::new(queue),
             costs: JobCosts::default(),
+            clock: Box::new(clock),
             limits,
             next_flow: AtomicU64::new(0),
             active: ActiveFlows::default(),
             paused: ActiveFlows::default(),
             metrics,
         };
-        Ok(Self { shared: Arc::new(shared), threads: Arc::new(threads) })
+        Self { shared: Arc::new(shared), threads }
     }
 
     /// The cached frame of a key for a delivery; counts a request only on a hit.
@@ -162,7 +188,7 @@ impl Generation {
         let ended = queue.take_ended_views();
         let count = queue.stop_views(is_stopped);
         for _ in 0..count.min(self.shared.limits.threads) {
-            runner::start(&self.shared, &self.threads, &mut queue);
+            runner::start(&self.shared, &*self.threads, &mut queue);
         }
         drop(queue);
         drop(ended);

@@ -4,6 +4,7 @@ use super::active::ActiveFlows;
 use super::cost::JobCosts;
 use super::queue::Queue;
 use super::threads::{Mutex, MutexGuard};
+use super::work_time::WorkClock;
 use crate::cache::disk::Disk;
 use crate::cache::memory::FrameCache;
 use crate::chunk_id::ChunkId;
@@ -47,6 +48,8 @@ pub struct Shared {
     /// A std mutex: held for map operations only, never across an await or a generation.
     pub queue: Mutex<Queue>,
     pub costs: JobCosts,
+    /// What work is measured by.
+    pub clock: Box<dyn WorkClock>,
     pub limits: Limits,
     pub next_flow: AtomicU64,
     /// Flows with requests in flight: those that share the threads, whether or not their queue is

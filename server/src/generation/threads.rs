@@ -1,4 +1,4 @@
-//! The lock and the threads of the generation service.
+//! The lock and the threads of the generation service; a test can run the turns elsewhere.
 //!
 //! With `--cfg shuttle` both are those of [shuttle](https://docs.rs/shuttle), which runs one test
 //! in thousands of schedules of its threads; `schedules` holds the tests.
@@ -16,6 +16,18 @@ use rayon::{ThreadPool, ThreadPoolBuilder};
 /// programs, where all want the processor.
 #[cfg(all(target_os = "linux", not(shuttle)))]
 const NICE: i32 = 3;
+
+/// The turns of a runner: each call runs one, until one returns false.
+pub type Turns = Box<dyn FnMut() -> bool + Send>;
+
+/// What runs the turns of the service.
+pub trait Executor: Send + Sync + 'static {
+    /// Runs turns on one of the threads, now or once one is free.
+    fn spawn(&self, turns: Turns);
+
+    /// Runs a function on each of the threads: when it waits, or between two turns.
+    fn broadcast(&self, run: fn());
+}
 
 /// The generation threads.
 pub struct Threads {
@@ -37,44 +49,52 @@ impl Threads {
             .build()?;
         Ok(Self { pool })
     }
+}
 
-    /// Runs a function on one of the threads, now or once one is free.
-    pub fn spawn(&self, run: impl FnOnce() + Send + 'static) {
-        self.pool.spawn(run);
+#[cfg(not(shuttle))]
+impl Executor for Threads {
+    fn spawn(&self, mut turns: Turns) {
+        self.pool.spawn(move || {
+            loop {
+                // A runner may go on for hours.
+                run_broadcasts();
+                if !turns() {
+                    break;
+                }
+            }
+        });
     }
 
-    /// Runs a function on each of the threads: when it waits, or calls [`run_broadcasts`].
-    pub fn broadcast(&self, run: fn()) {
+    fn broadcast(&self, run: fn()) {
         self.pool.spawn_broadcast(move |_| run());
     }
 }
 
-/// Runs what [`Threads::broadcast`] has left for this thread. Other functions are not spawned on a
+/// Runs what [`Executor::broadcast`] has left for this thread. Other functions are not spawned on a
 /// thread of the pool, so that no other waits here.
 #[cfg(not(shuttle))]
-pub fn run_broadcasts() {
+fn run_broadcasts() {
     while rayon::yield_local() == Some(rayon::Yield::Executed) {}
 }
 
 #[cfg(shuttle)]
 impl Threads {
-    /// Starts nothing: each function gets a thread of its own.
+    /// Starts nothing: each runner gets a thread of its own.
     pub fn start(_count: usize) -> Result<Self, ThreadPoolBuildError> {
         Ok(Self {})
     }
+}
 
-    /// Runs a function on a thread of its own. The queue bounds their number.
-    pub fn spawn(&self, run: impl FnOnce() + Send + 'static) {
-        shuttle::thread::spawn(run);
+#[cfg(shuttle)]
+impl Executor for Threads {
+    /// Runs turns on a thread of their own. The queue bounds the number of runners.
+    fn spawn(&self, mut turns: Turns) {
+        shuttle::thread::spawn(move || while turns() {});
     }
 
     /// Runs nothing: no thread stays.
-    pub fn broadcast(&self, _run: fn()) {}
+    fn broadcast(&self, _run: fn()) {}
 }
-
-/// Runs nothing.
-#[cfg(shuttle)]
-pub fn run_broadcasts() {}
 
 /// Lowers the priority of this thread a little: connections that wait for a moment of processor
 /// time go before jobs that take milliseconds. Linux alone has a priority for each thread.
@@ -91,16 +111,17 @@ mod tests {
     use std::sync::mpsc;
 
     #[test]
-    fn a_broadcast_reaches_a_thread_whose_function_goes_on() {
+    fn a_broadcast_reaches_a_thread_whose_turns_go_on() {
         static IS_REACHED: AtomicBool = AtomicBool::new(false);
         let threads = Threads::start(1).unwrap();
         let (sender, ended) = mpsc::channel();
-        threads.spawn(move || {
-            while !IS_REACHED.load(Ordering::Relaxed) {
-                run_broadcasts();
+        threads.spawn(Box::new(move || {
+            let goes_on = !IS_REACHED.load(Ordering::Relaxed);
+            if !goes_on {
+                sender.send(()).unwrap();
             }
-            sender.send(()).unwrap();
-        });
+            goes_on
+        }));
         threads.broadcast(|| IS_REACHED.store(true, Ordering::Relaxed));
         ended.recv().unwrap();
     }

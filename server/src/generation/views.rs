@@ -4,10 +4,11 @@
 //! runs within the turn's budget, and is charged by its duration. Threads that accept connections
 //! and answer probes never run it.
 
+use super::work_time::WorkClock;
 use crate::limits::rate_limit::TokenBucket;
 use crate::memory::room::ViewRoom;
 use protocol::server::ViewSelection;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 use terrain::Land;
 use tokio::sync::oneshot;
 
@@ -35,19 +36,25 @@ impl ViewJob {
     /// Continues for about `budget_us` microseconds, or until another flow must not wait. Returns
     /// whether the selection is finished or its session has ended, and the time that this call
     /// took.
-    pub fn run(&mut self, budget_us: i64, must_stop: impl Fn() -> bool) -> (bool, Duration) {
+    pub fn run(
+        &mut self,
+        clock: &dyn WorkClock,
+        budget_us: i64,
+        must_stop: impl Fn() -> bool,
+    ) -> (bool, Duration) {
         #[cfg(test)]
         assert_ne!(self.selection.view().id, 666, "this view panics");
-        let started = Instant::now();
+        let started = clock.clock();
+        let elapsed = || clock.clock().saturating_sub(started);
         let budget = Duration::from_micros(budget_us.max(0).unsigned_abs());
         let mut is_done = self.completion.is_closed();
-        while !is_done && started.elapsed() < budget {
+        while !is_done && elapsed() < budget {
             is_done = self.selection.step(&self.land, STEP_CHUNKS);
             if must_stop() {
                 break;
             }
         }
-        let spent = started.elapsed();
+        let spent = elapsed();
         self.spent += spent;
         (is_done, spent)
     }
@@ -57,6 +64,7 @@ impl ViewJob {
 mod tests {
     use super::*;
     use crate::generation::test_source::view_selection;
+    use crate::generation::work_time::SystemClock;
 
     #[test]
     fn a_view_makes_one_step_a_turn_while_another_flow_must_not_wait() {
@@ -64,8 +72,8 @@ mod tests {
         let (land, bucket) = (Land::new(1), TokenBucket::default());
         let selection = view_selection(1);
         let mut job = ViewJob { selection, land, bucket, spent: Duration::ZERO, room: None, completion };
-        let mut turns = 1;
-        while !job.run(i64::MAX, || true).0 {
+        let (clock, mut turns) = (SystemClock::default(), 1);
+        while !job.run(&clock, i64::MAX, || true).0 {
             turns += 1;
         }
         assert!(turns > 2, "{turns}");
@@ -73,6 +81,6 @@ mod tests {
         // The control: without another flow one turn is enough.
         let (completion, _receiver) = oneshot::channel();
         let mut job = ViewJob { selection: view_selection(1), completion, ..job };
-        assert!(job.run(i64::MAX, || false).0);
+        assert!(job.run(&clock, i64::MAX, || false).0);
     }
 }

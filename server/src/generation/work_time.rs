@@ -1,45 +1,68 @@
-//! The time that a piece of work of a thread takes.
+//! The time that a piece of work of a thread takes, by clocks that a test can replace.
 
 use std::time::{Duration, Instant};
 
-/// The start of a piece of work on this thread.
-#[derive(Clone, Copy, Debug)]
-pub struct WorkStart {
-    clock: Instant,
-    processor: Duration,
+/// The clocks that work is measured by.
+pub trait WorkClock: Send + Sync + 'static {
+    /// Time since a moment that never changes.
+    fn clock(&self) -> Duration;
+
+    /// Processor time of this thread so far: without pauses of the thread, and without waits for a
+    /// disk or a store. 0 where it is not known.
+    fn processor(&self) -> Duration;
 }
 
-/// The time that a piece of work took.
+/// The clocks of the system.
+#[derive(Clone, Copy, Debug)]
+pub struct SystemClock {
+    start: Instant,
+}
+
+impl Default for SystemClock {
+    fn default() -> Self {
+        Self { start: Instant::now() }
+    }
+}
+
+impl WorkClock for SystemClock {
+    fn clock(&self) -> Duration {
+        self.start.elapsed()
+    }
+
+    #[cfg(target_os = "linux")]
+    fn processor(&self) -> Duration {
+        use rustix::time::{ClockId, clock_gettime};
+        let time = clock_gettime(ClockId::ThreadCPUTime);
+        Duration::new(time.tv_sec.unsigned_abs(), time.tv_nsec.unsigned_abs() as u32)
+    }
+
+    #[cfg(not(target_os = "linux"))]
+    fn processor(&self) -> Duration {
+        Duration::ZERO
+    }
+}
+
+/// The time that a piece of work took, or the readings of both clocks at its start.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct WorkTime {
-    /// On the clock.
+    /// See [`WorkClock::clock`].
     pub clock: Duration,
-    /// Of the processor: without pauses of the thread, and without waits for a disk or a store. 0
-    /// where the system does not tell.
+    /// See [`WorkClock::processor`].
     pub processor: Duration,
 }
 
-impl WorkStart {
-    /// Now.
-    pub fn now() -> Self {
-        Self { clock: Instant::now(), processor: processor_time() }
+impl WorkTime {
+    /// The readings of both clocks.
+    pub fn now(clock: &dyn WorkClock) -> Self {
+        Self { clock: clock.clock(), processor: clock.processor() }
     }
 
-    /// The time since then.
-    pub fn elapsed(&self) -> WorkTime {
-        let processor = processor_time().saturating_sub(self.processor);
-        WorkTime { clock: self.clock.elapsed(), processor }
+    /// The time since these readings.
+    pub fn elapsed(&self, clock: &dyn WorkClock) -> Self {
+        let now = Self::now(clock);
+        Self {
+            clock: now.clock.saturating_sub(self.clock),
+            processor: now.processor.saturating_sub(self.processor),
+        }
     }
-}
-
-#[cfg(target_os = "linux")]
-fn processor_time() -> Duration {
-    use rustix::time::{ClockId, clock_gettime};
-    let time = clock_gettime(ClockId::ThreadCPUTime);
-    Duration::new(time.tv_sec.unsigned_abs(), time.tv_nsec.unsigned_abs() as u32)
-}
-
-#[cfg(not(target_os = "linux"))]
-const fn processor_time() -> Duration {
-    Duration::ZERO
 }

@@ -97,9 +97,10 @@ where
     if let Some((code, text)) = &end.close {
         socket.queue_close(*code, text);
         tokio::select! {
-            _ = timeout(CLOSE_TIMEOUT, close(socket)) => {}
+            biased;
             // At once. The first reason stays.
             _ = stats.evicted() => {}
+            _ = timeout(CLOSE_TIMEOUT, close(socket)) => {}
         }
     }
     state.metrics.sessions.ended(end.reason.name());
@@ -182,6 +183,11 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
             return end;
         }
         loop {
+            // In each round, because reading goes first below: a client that sends without end must
+            // not keep finished work waiting.
+            while let Some(event) = self.flow.try_event() {
+                self.handle(event);
+            }
             let more = self.request_chunks();
             if let Err(end) = self.flush().await {
                 return end;
@@ -189,45 +195,20 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
             let pause = self.backoff.paused_until(Instant::now());
             self.flow.set_paused(pause.is_some());
             let read_size = self.backoff.read_size(Instant::now());
+            // In order, so that a seed of the simulation is one run: ends, timers, and then what a
+            // client can cause without end. Reading goes before finished work, which comes without
+            // end while a slow write lasts.
             tokio::select! {
-                read = self.socket.read_at_most(read_size), if pause.is_none() => {
-                    keepalive.on_activity(Instant::now());
-                    if let Err(end) = self.read_ended(read).await {
-                        return end;
-                    }
-                    let begins = self.backoff.pause(Instant::now());
-                    self.count_pause(begins);
+                biased;
+                () = self.state.draining.cancelled() => return self.drain().await,
+                eviction = self.stats.evicted() => return SessionEnd::by_server(eviction),
+                () = tokio::time::sleep_until(handshake_by), if !self.session.is_welcomed() => {
+                    return SessionEnd::with_code(EndReason::HandshakeTimeout, CloseCode::HandshakeTimeout);
                 }
                 () = sleep_until(self.message_deadline.by()), if pause.is_none() => {
                     if let Err(end) = self.enforce_message_deadline().await {
                         return end;
                     }
-                }
-                event = self.flow.next_event() => {
-                    match event {
-                        FlowEvent::View(selection) => self.apply_view(*selection),
-                        FlowEvent::ViewFailed => {
-                            self.session.fail_view("the selection of the view failed");
-                        }
-                        FlowEvent::Chunks(done) => done.into_iter().for_each(|done| self.finish(done)),
-                    }
-                    while let Some(done) = self.flow.try_completions() {
-                        done.into_iter().for_each(|done| self.finish(done));
-                    }
-                }
-                () = self.state.draining.cancelled() => return self.drain().await,
-                eviction = self.stats.evicted() => return SessionEnd::by_server(eviction),
-                // A client that reads cached chunks at full speed must not starve others; between
-                // two batches it is read, and a shutdown ends it.
-                () = yield_now(), if more => {}
-                () = tokio::time::sleep_until(handshake_by), if !self.session.is_welcomed() => {
-                    return SessionEnd::with_code(EndReason::HandshakeTimeout, CloseCode::HandshakeTimeout);
-                }
-                () = sleep_until(pause), if pause.is_some() => {}
-                // One timer: each takes memory of an idle session.
-                () = sleep_until(self.delay.map(|(until, _)| until)), if self.delay.is_some() => {
-                    let is_by_rate = self.delay.is_some_and(|(_, delay)| delay == Delay::RateLimit);
-                    self.state.metrics.limits.rate_limit_delays.inc_by(u64::from(is_by_rate));
                 }
                 () = &mut check => {
                     // Received bytes count: a long write may have kept this session from reading.
@@ -254,7 +235,34 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
                     }
                     check.as_mut().reset(next);
                 }
+                () = sleep_until(pause), if pause.is_some() => {}
+                // One timer: each takes memory of an idle session.
+                () = sleep_until(self.delay.map(|(until, _)| until)), if self.delay.is_some() => {
+                    let is_by_rate = self.delay.is_some_and(|(_, delay)| delay == Delay::RateLimit);
+                    self.state.metrics.limits.rate_limit_delays.inc_by(u64::from(is_by_rate));
+                }
+                read = self.socket.read_at_most(read_size), if pause.is_none() => {
+                    keepalive.on_activity(Instant::now());
+                    if let Err(end) = self.read_ended(read).await {
+                        return end;
+                    }
+                    let begins = self.backoff.pause(Instant::now());
+                    self.count_pause(begins);
+                }
+                event = self.flow.next_event() => self.handle(event),
+                // A client that reads cached chunks at full speed must not starve others; between
+                // two batches it is read, and a shutdown ends it.
+                () = yield_now(), if more => {}
             }
+        }
+    }
+
+    /// Handles finished work of the generation service.
+    fn handle(&mut self, event: FlowEvent) {
+        match event {
+            FlowEvent::View(selection) => self.apply_view(*selection),
+            FlowEvent::ViewFailed => self.session.fail_view("the selection of the view failed"),
+            FlowEvent::Chunks(done) => done.into_iter().for_each(|done| self.finish(done)),
         }
     }
 }

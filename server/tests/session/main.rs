@@ -3,6 +3,7 @@
 //! | module | subject |
 //! | --- | --- |
 //! | `batches` | many cached chunks for one client |
+//! | `endless` | a client whose next message is always there |
 //! | `ends` | why and how sessions end |
 //! | `keepalive` | pings and the timeout of idle sessions |
 //! | `message_deadline` | messages that are begun and not finished |
@@ -11,6 +12,7 @@
 //! | `waiting` | chunks and views that wait for the generation thread |
 
 mod batches;
+mod endless;
 mod ends;
 mod keepalive;
 mod message_deadline;

@@ -3,6 +3,7 @@
 use crate::client::Client;
 use crate::link::ClientEnd;
 use crate::plant::Plant;
+use crate::received::Received;
 use protocol::CloseCode;
 use std::time::Duration;
 use test_support::Random;
@@ -31,8 +32,7 @@ pub struct Actions {
     /// Random actions end then, and the last ones follow.
     pub end: Instant,
     pub last: Last,
-    /// Chunks and other messages received.
-    pub received: u64,
+    pub received: Received,
 }
 
 /// The next of the last actions.
@@ -105,7 +105,7 @@ pub async fn drive(end: ClientEnd, client: &mut Client, actions: &mut Actions) -
                     let is_twice = actions.plant == Plant::FrameTwice && actions.random.percent(2);
                     for _ in 0..=u32::from(is_twice) {
                         client.receive(&message)?;
-                        actions.received += 1;
+                        actions.received.message(&message);
                     }
                     if std::mem::take(&mut client.wants_view_again) {
                         recheck_at = Some(Instant::now() + RECHECK_DELAY);
@@ -163,6 +163,7 @@ async fn sent(
     };
     let frame = [&[0x80 | opcode], &length[..], &[0; 4], payload].concat();
     tokio::select! {
+        biased;
         written = write.write_all(&frame) => written.is_ok(),
         () = lost.cancelled() => false,
     }

@@ -1,9 +1,7 @@
-//! A server without a listener: sessions over any stream, and a gated generation thread.
+//! A server without a listener: sessions over any stream, and a generation thread in virtual time.
 
-use crate::gate::{Gate, GatedSource, Outcome, Threads};
 use crate::plant::Plant;
-use protocol::Delivery;
-use protocol::server::ChunkRequest;
+use crate::worker::{Pace, VirtualWork, Waiting, Worker};
 use server::ServerConfig;
 use server::generation::{Generation, Limits};
 use server::limits::rate_limit::TokenBucket;
@@ -14,7 +12,6 @@ use std::net::IpAddr;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
-use terrain::ChunkKey;
 use tokio::io::DuplexStream;
 use tokio::task::{JoinSet, spawn_local};
 use tokio::time::timeout;
@@ -23,36 +20,30 @@ use tokio_util::task::AbortOnDropHandle;
 /// Jobs that may be queued or running: fewer than four clients can have.
 pub const MAX_JOBS: usize = 48;
 
-/// Memory for frames, bytes: some are generated again.
-const CACHE_BYTES: u64 = 1 << 20;
+/// Memory for frames, bytes: some are generated again. So few that they are one part of the cache:
+/// several would depend on the machine, and a frame's part on the keys of a hash table.
+const CACHE_BYTES: u64 = 1 << 17;
 
 /// Longest time from the announcement of the end to the end of all sessions.
 const DRAIN: Duration = Duration::from_secs(5);
 
-/// Longest time of a job on the clock of the machine: none is refused for its wait.
-const DEADLINE: Duration = Duration::from_secs(3600);
+/// Longest wait of a request: some are refused while chunks are slow.
+const DEADLINE: Duration = Duration::from_secs(1);
 
 pub struct Server {
     pub state: Arc<ServerState>,
-    gate: Arc<Gate>,
-    threads: Threads,
     /// Tasks of sessions, at most one for each connection so far.
     sessions: JoinSet<()>,
-    _gate_task: AbortOnDropHandle<()>,
+    _worker: AbortOnDropHandle<()>,
     plant: Plant,
 }
 
 impl Server {
     /// Starts a server whose chunks take the time and have the outcome of `pace`.
-    pub async fn start(
-        threads: &Threads,
-        plant: Plant,
-        mut pace: impl FnMut() -> Option<(Duration, Outcome)> + 'static,
-    ) -> Self {
+    pub fn start(plant: Plant, pace: impl FnMut() -> Pace + 'static) -> Self {
         let config =
             ServerConfig { threads: 1, max_jobs: Some(MAX_JOBS), memory: None, ..Default::default() };
         let mut state = ServerState::new(config).expect("one thread");
-        let gate = Arc::new(Gate::default());
         let limits = Limits {
             threads: 1,
             cache_bytes: CACHE_BYTES,
@@ -60,20 +51,12 @@ impl Server {
             deadline: DEADLINE,
             without: None,
         };
-        let source = GatedSource(Arc::clone(&gate));
-        state.generation =
-            Generation::new(source, limits, Arc::clone(&state.metrics)).expect("one more thread");
-        threads.add(&gate, &state.generation);
-        // The thread is known once it has generated a chunk: the first one has no fault.
-        let mut first = Some((Duration::from_millis(1), Outcome::Right));
-        let running = Arc::clone(&gate);
-        let run = async move { running.run(move || first.take().or_else(&mut pace)).await };
-        let gate_task = AbortOnDropHandle::new(spawn_local(run));
-        let key = ChunkKey::new(0, 900, 900).expect("in the world");
-        let chunk = ChunkRequest { key, request: None, priority: 0 };
-        state.generation.flow().frame(chunk, Delivery::Exact).await.expect("the first chunk");
-        let (state, threads) = (Arc::new(state), threads.clone());
-        Self { state, gate, threads, sessions: JoinSet::new(), _gate_task: gate_task, plant }
+        let (waiting, work) = (Arc::new(Waiting::default()), VirtualWork::default());
+        let (worker, source) = Worker::start(work.clone());
+        let threads = Arc::clone(&waiting);
+        state.generation = Generation::on(threads, work, source, limits, Arc::clone(&state.metrics));
+        let worker = AbortOnDropHandle::new(spawn_local(worker.run(waiting, pace)));
+        Self { state: Arc::new(state), sessions: JoinSet::new(), _worker: worker, plant }
     }
 
     /// Begins a session with a client, which `10.0.0.client` names.
@@ -127,13 +110,5 @@ impl Server {
             ended.map_err(|error| format!("a session: {error}"))?;
         }
         Ok(self.sessions.len())
-    }
-}
-
-impl Drop for Server {
-    fn drop(&mut self) {
-        self.threads.remove(&self.gate);
-        // The thread ends with its pool.
-        self.gate.open();
     }
 }

@@ -2,16 +2,17 @@
 
 use crate::client::Client;
 use crate::connection::{Actions, Last, drive};
-use crate::gate::{Outcome, Threads, planted};
 use crate::link::{ClientEnd, Link};
 use crate::plant::Plant;
+use crate::received::Received;
 use crate::server::Server;
+use crate::worker::{Outcome, Pace, planted};
 use std::cell::{Cell, RefCell};
 use std::collections::BTreeMap;
 use std::rc::Rc;
 use std::time::Duration;
 use test_support::Random;
-use tokio::runtime::{self, Runtime};
+use tokio::runtime;
 use tokio::task::{LocalSet, spawn_local};
 use tokio::time::{Instant, sleep, sleep_until, timeout_at};
 
@@ -30,25 +31,24 @@ struct World {
     plant: Plant,
     /// Faults end then.
     faults_end: Instant,
-    threads: Threads,
     server: RefCell<Server>,
     /// The last connection of each client.
     links: RefCell<BTreeMap<u32, Link>>,
     /// Connections that clients have lost and servers have not.
     silent: RefCell<Vec<Link>>,
-    pace: Rc<Pace>,
+    speed: Rc<Speed>,
 }
 
 /// How long chunks take, and how they end.
-struct Pace {
+struct Speed {
     random: RefCell<Random>,
     slow_until: Cell<Instant>,
     failing_until: Cell<Instant>,
 }
 
-impl Pace {
+impl Speed {
     /// Of the next chunk; none if it never ends.
-    fn next(&self, plant: Plant) -> Option<(Duration, Outcome)> {
+    fn next(&self, plant: Plant) -> Pace {
         let (random, now) = (&mut *self.random.borrow_mut(), Instant::now());
         let slowness = if now < self.slow_until.get() { 20 } else { 1 };
         let takes = Duration::from_millis(random.ms(1..8) * slowness);
@@ -58,54 +58,44 @@ impl Pace {
     }
 }
 
-/// Runs the simulation of a seed. Returns the number of messages that clients received.
+/// Runs the simulation of a seed. Returns what the clients received.
 ///
 /// # Errors
 /// A violated invariant.
-pub fn run(seed: u64, plant: Plant) -> Result<u64, String> {
-    let threads = Threads::default();
-    let runtime = virtual_time(&threads).expect("a runtime");
-    LocalSet::new().block_on(&runtime, simulated(seed, plant, threads))
+pub fn run(seed: u64, plant: Plant) -> Result<Received, String> {
+    // The clock advances when all tasks wait: a generation thread works while one of them runs.
+    let mut builder = runtime::Builder::new_current_thread();
+    let runtime = builder.enable_time().start_paused(true).build().expect("a runtime");
+    LocalSet::new().block_on(&runtime, simulated(seed, plant))
 }
 
-/// A runtime whose clock advances when all tasks wait and no generation thread works.
-fn virtual_time(threads: &Threads) -> std::io::Result<Runtime> {
-    let threads = threads.clone();
-    runtime::Builder::new_current_thread()
-        .enable_time()
-        .start_paused(true)
-        .on_thread_park(move || threads.wait())
-        .build()
-}
-
-async fn simulated(seed: u64, plant: Plant, threads: Threads) -> Result<u64, String> {
+async fn simulated(seed: u64, plant: Plant) -> Result<Received, String> {
     let mut random = Random(seed);
     let mut branch = || Random(random.bits());
     let start = Instant::now();
-    let pace = Rc::new(Pace {
+    let speed = Rc::new(Speed {
         random: RefCell::new(branch()),
         slow_until: Cell::new(start),
         failing_until: Cell::new(start),
     });
-    let server = started(&threads, plant, &pace).await;
+    let server = started(plant, &speed);
     let world = Rc::new(World {
         plant,
         faults_end: start + FAULTS,
-        threads,
         server: RefCell::new(server),
         links: RefCell::default(),
         silent: RefCell::default(),
-        pace,
+        speed,
     });
     let faults = spawn_local(faults(Rc::clone(&world), branch()));
     let clients: Vec<_> =
         (0..CLIENTS).map(|number| spawn_local(live(Rc::clone(&world), number, branch()))).collect();
-    let mut received = 0;
+    let mut received = Received::default();
     let mut ended = faults.await.map_err(|error| format!("faults: {error}"))?;
     for (number, client) in clients.into_iter().enumerate() {
         let result = client.await.map_err(|error| error.to_string()).and_then(|result| result);
         match result {
-            Ok(count) => received += count,
+            Ok(of_client) => received.add(&of_client),
             Err(error) => ended = ended.and(Err(format!("client {number}: {error}"))),
         }
     }
@@ -127,18 +117,19 @@ async fn simulated(seed: u64, plant: Plant, threads: Threads) -> Result<u64, Str
     Ok(received)
 }
 
-async fn started(threads: &Threads, plant: Plant, pace: &Rc<Pace>) -> Server {
-    let pace = Rc::clone(pace);
-    Server::start(threads, plant, move || pace.next(plant)).await
+fn started(plant: Plant, speed: &Rc<Speed>) -> Server {
+    let speed = Rc::clone(speed);
+    Server::start(plant, move || speed.next(plant))
 }
 
 /// One client until the end of the simulation: connects, acts, loses its connection, connects
-/// again. Returns the number of messages that it received.
-async fn live(world: Rc<World>, number: u32, mut random: Random) -> Result<u64, String> {
+/// again. Returns what it received.
+async fn live(world: Rc<World>, number: u32, mut random: Random) -> Result<Received, String> {
     let mut client = Client::new(number, &mut random);
     sleep(Duration::from_millis(random.ms(0..300))).await;
     let (plant, end) = (world.plant, world.faults_end);
-    let mut actions = Actions { random, plant, end, last: Last::View, received: 0 };
+    let received = Received::default();
+    let mut actions = Actions { random, plant, end, last: Last::View, received };
     let living = async {
         loop {
             let end = world.connect(number, &mut actions.random);
@@ -167,9 +158,8 @@ impl World {
     }
 
     /// Replaces the server, and returns the old one.
-    async fn replaced(&self) -> Server {
-        let server = started(&self.threads, self.plant, &self.pace).await;
-        self.server.replace(server)
+    fn replaced(&self) -> Server {
+        self.server.replace(started(self.plant, &self.speed))
     }
 }
 
@@ -183,14 +173,14 @@ async fn faults(world: Rc<World>, mut random: Random) -> Result<(), String> {
             0 | 1 => world.cut(client),
             2 => stall(&world, client, until, true),
             3 => stall(&world, client, until, false),
-            4 => world.pace.slow_until.set(until),
-            5 => world.pace.failing_until.set(until),
+            4 => world.speed.slow_until.set(until),
+            5 => world.speed.failing_until.set(until),
             6 => {
-                let old = world.replaced().await;
+                let old = world.replaced();
                 (0..CLIENTS).for_each(|client| world.cut(client));
                 old.kill().await;
             }
-            7 => world.replaced().await.drain().await?,
+            7 => world.replaced().drain().await?,
             8 => {
                 if let Some(link) = world.links.borrow().get(&client) {
                     link.up.sliced_until.set(until);

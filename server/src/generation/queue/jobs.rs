@@ -9,8 +9,9 @@ use protocol::Delivery;
 use protocol::server::ChunkRequest;
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 use tokio::sync::mpsc::UnboundedSender;
+use tokio::time::Instant;
 use tracing::Span;
 
 /// Identifies a flow.
@@ -76,7 +77,7 @@ impl Charge {
     /// Returns it. Not under the lock of the queue, here and below: the table of buckets has a lock
     /// of its own.
     pub fn refund(self) {
-        self.bucket.refund(self.cost_us, tokio::time::Instant::now());
+        self.bucket.refund(self.cost_us, Instant::now());
     }
 
     /// The charged cost, microseconds.
@@ -87,7 +88,7 @@ impl Charge {
 
     /// Charges what the job took in place of what was expected, microseconds.
     pub fn settle(self, spent_us: i64) {
-        self.bucket.settle_chunk(self.cost_us, spent_us, tokio::time::Instant::now());
+        self.bucket.settle_chunk(self.cost_us, spent_us, Instant::now());
     }
 }
 

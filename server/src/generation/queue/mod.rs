@@ -26,7 +26,8 @@ use protocol::server::ChunkRequest;
 use rotation::Rotation;
 use rustc_hash::FxHashMap;
 use site::{Site, TurnLimits};
-use std::time::{Duration, Instant};
+use std::time::Duration;
+use tokio::time::Instant;
 use tracing::Span;
 
 /// The flow of all jobs where turns are turned off. Flows are numbered from 0.

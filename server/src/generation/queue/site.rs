@@ -8,7 +8,8 @@ use crate::generation::views::ViewJob;
 use rustc_hash::FxHashMap;
 use std::cmp::Reverse;
 use std::collections::{BinaryHeap, HashSet};
-use std::time::{Duration, Instant};
+use std::time::Duration;
+use tokio::time::Instant;
 
 /// Entries of a flow before stale ones are removed.
 pub const STALE_ENTRIES: usize = 64;

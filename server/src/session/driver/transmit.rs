@@ -43,6 +43,7 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Driver<'_, S> {
             Ok(())
         };
         let result = tokio::select! {
+            biased;
             written = write => written,
             eviction = self.stats.evicted() => Err(SessionEnd::by_server(eviction)),
             // A slow reader must not miss the announcement.

@@ -156,7 +156,7 @@ fn the_first_frame_of_a_job_is_charged_in_advance_and_others_to_who_asks_for_the
     let is_exact = |request: &FrameRequest| request.delivery == Delivery::Exact;
     let frame = fixture.queue.missing_frame(id(1), is_exact).unwrap();
     let Payment::Request(path, bucket) = frame.payment else { panic!("{frame:?}") };
-    bucket.charge_work(5, tokio::time::Instant::now());
+    bucket.charge_work(5, Instant::now());
     assert_eq!((frame.delivery, path), (Delivery::SeedOnly, own(2)));
     assert_eq!((first.tokens(), second.tokens()), (-3.0, -5.0));
     // A job that is queued again was run: it is made again at the expense of the second, and not
