@@ -50,8 +50,12 @@ use simulation::run;
 /// Seeds of a run in `cargo ci`.
 const SEEDS: u64 = 20;
 
-/// Seeds that run twice.
+/// Seeds that run twice in `cargo ci`.
 const TWICE: u64 = 5;
+
+/// Most seeds that run twice. An order of events that is left to chance was noticed in 40 seeds and
+/// not in 20.
+const MOST_TWICE: usize = 100;
 
 /// Seeds within which every bug must be found.
 const SEEDS_OF_BUGS: u64 = 20;
@@ -78,8 +82,9 @@ fn every_seed_keeps_the_invariants() {
 #[test]
 fn a_seed_is_one_run() {
     let twice = |seed| [run(seed, Plant::Nothing), run(seed, Plant::Nothing)];
-    let runs: Vec<_> = (0..TWICE).map(twice).collect();
-    for (seed, [first, second]) in runs.iter().enumerate() {
+    let seeds = seeds(TWICE).take(MOST_TWICE);
+    let runs: Vec<_> = seeds.clone().map(twice).collect();
+    for (seed, [first, second]) in seeds.zip(&runs) {
         assert_eq!(first, second, "seed {seed}");
     }
     let is_other = |pair: &[[_; 2]]| pair[0][0] != pair[1][0];
