@@ -12,7 +12,7 @@ use std::net::{IpAddr, Ipv4Addr};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
-use tokio::io::{AsyncReadExt, AsyncWriteExt, DuplexStream};
+use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt, DuplexStream};
 
 pub const BINARY: u8 = 2;
 pub const CLOSE: u8 = 8;
@@ -25,6 +25,26 @@ pub const ADDRESS: IpAddr = IpAddr::V4(Ipv4Addr::new(192, 0, 2, 1));
 /// A view of 1 km from the start of the coordinates.
 pub fn view(id: u32) -> View {
     View { tolerance_q4: 16, ..test_support::view(id, 1000) }
+}
+
+/// The Hello of a client without a token.
+pub fn hello(digest: [u8; 32]) -> ClientMessage {
+    ClientMessage::Hello(Hello {
+        digest: Some(digest),
+        delivery: protocol::Delivery::Exact,
+        token: None,
+        software: "test".into(),
+    })
+}
+
+/// One frame, masked by zeros.
+pub fn frame(opcode: u8, payload: &[u8]) -> Vec<u8> {
+    // Section 5.2 allows the shortest form only.
+    let length = match u8::try_from(payload.len()) {
+        Ok(length @ 0..126) => vec![0x80 | length],
+        _ => [&[0x80 | 126][..], &u16::try_from(payload.len()).unwrap().to_be_bytes()].concat(),
+    };
+    [&[0x80 | opcode], &length[..], &[0; 4], payload].concat()
 }
 
 pub struct Peer {
@@ -41,6 +61,16 @@ impl Peer {
     /// As [`Peer::new`], over a pipe that holds so many bytes.
     pub fn over_pipe(state: &Arc<ServerState>, bucket: TokenBucket, bytes: usize) -> Self {
         let (io, theirs) = tokio::io::duplex(bytes);
+        Self::over(state, bucket, io, theirs)
+    }
+
+    /// As [`Peer::new`], with the server's end of a connection and the other one.
+    pub fn over(
+        state: &Arc<ServerState>,
+        bucket: TokenBucket,
+        io: DuplexStream,
+        theirs: impl AsyncRead + AsyncWrite + Unpin + Send + 'static,
+    ) -> Self {
         let server = Arc::clone(state);
         let number = state.next_session.fetch_add(1, Ordering::Relaxed);
         tokio::spawn(async move {
@@ -59,13 +89,7 @@ impl Peer {
     }
 
     pub async fn hello(&mut self) {
-        let hello = Hello {
-            digest: Some(self.state.offer.digest.0),
-            delivery: protocol::Delivery::Exact,
-            token: None,
-            software: "test".into(),
-        };
-        self.send_message(&ClientMessage::Hello(hello)).await;
+        self.send_message(&hello(self.state.offer.digest.0)).await;
         let (opcode, welcome) = self.next().await.unwrap();
         assert_eq!(opcode, BINARY);
         assert!(matches!(control::decode(&welcome), Ok(ServerMessage::Welcome(_))));
@@ -77,12 +101,7 @@ impl Peer {
 
     /// One frame, masked by zeros.
     pub async fn send(&mut self, opcode: u8, payload: &[u8]) {
-        // Section 5.2 allows the shortest form only.
-        let length = match u8::try_from(payload.len()) {
-            Ok(length @ 0..126) => vec![0x80 | length],
-            _ => [&[0x80 | 126][..], &u16::try_from(payload.len()).unwrap().to_be_bytes()].concat(),
-        };
-        self.io.write_all(&[&[0x80 | opcode], &length[..], &[0; 4], payload].concat()).await.unwrap();
+        self.io.write_all(&frame(opcode, payload)).await.unwrap();
     }
 
     /// Bytes that need not be a frame.

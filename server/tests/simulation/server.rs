@@ -1,7 +1,7 @@
 //! A server without a listener: sessions over any stream, and a generation thread in virtual time.
 
 use crate::plant::Plant;
-use crate::worker::{Pace, VirtualWork, Waiting, Worker};
+use crate::worker::{Pace, VirtualWork, Worker};
 use server::ServerConfig;
 use server::generation::{Generation, Limits};
 use server::limits::rate_limit::TokenBucket;
@@ -51,11 +51,11 @@ impl Server {
             deadline: DEADLINE,
             without: None,
         };
-        let (waiting, work) = (Arc::new(Waiting::default()), VirtualWork::default());
-        let (worker, source) = Worker::start(work.clone());
-        let threads = Arc::clone(&waiting);
-        state.generation = Generation::on(threads, work, source, limits, Arc::clone(&state.metrics));
-        let worker = AbortOnDropHandle::new(spawn_local(worker.run(waiting, pace)));
+        let work = VirtualWork::default();
+        let (worker, executor, source) = Worker::start(work.clone());
+        let metrics = Arc::clone(&state.metrics);
+        state.generation = Generation::on(Arc::new(executor), work, source, limits, metrics);
+        let worker = AbortOnDropHandle::new(spawn_local(worker.run(pace)));
         Self { state: Arc::new(state), sessions: JoinSet::new(), _worker: worker, plant }
     }
 

@@ -7,7 +7,6 @@ use crate::truth;
 use server::chunk_id::ChunkId;
 use server::generation::{Executor, Turns, WorkClock};
 use server::source::ChunkSource;
-use std::collections::VecDeque;
 use std::future::pending;
 use std::panic::resume_unwind;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -17,16 +16,15 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 use terrain::{Chunk, WorldDigest};
 use tokio::runtime::Handle;
-use tokio::sync::Notify;
+use tokio::sync::mpsc::{UnboundedReceiver, UnboundedSender, unbounded_channel};
 use tokio::task::yield_now;
 
 /// Time of work between two readings of the clock, microseconds: three steps of a view are a turn.
 const READING_US: u64 = 50;
 
 /// How the generation of a chunk ends.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug)]
 pub enum Outcome {
-    #[default]
     Right,
     OtherHeight,
     Panic,
@@ -39,17 +37,13 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// The turns that wait for the thread. One runner at a time: the service has one thread.
-#[derive(Default)]
-pub struct Waiting {
-    turns: Mutex<VecDeque<Turns>>,
-    added: Notify,
-}
+/// Passes turns to the thread. One runner at a time: the service has one thread.
+pub struct ToWorker(UnboundedSender<Turns>);
 
-impl Executor for Waiting {
+impl Executor for ToWorker {
     fn spawn(&self, turns: Turns) {
-        lock(&self.turns).push_back(turns);
-        self.added.notify_one();
+        // The server may have been dropped.
+        let _ = self.0.send(turns);
     }
 
     /// Runs nothing: it would return memory to the system.
@@ -113,21 +107,28 @@ impl ChunkSource for StoppingSource {
 
 /// The thread, from the runtime. Dropping it ends the thread.
 pub struct Worker {
-    /// None while it is dropped.
-    ends: Option<Ends>,
-    thread: Option<JoinHandle<()>>,
-    work: VirtualWork,
-}
-
-struct Ends {
+    waiting: UnboundedReceiver<Turns>,
     turns: Sender<Turns>,
     outcomes: Sender<Outcome>,
     stops: Receiver<Stop>,
+    work: VirtualWork,
+    /// Joined when the channels have been dropped, which ends it.
+    _thread: JoinOnDrop,
+}
+
+struct JoinOnDrop(Option<JoinHandle<()>>);
+
+impl Drop for JoinOnDrop {
+    fn drop(&mut self) {
+        // The service catches panics of its turns.
+        let _ = self.0.take().map(JoinHandle::join);
+    }
 }
 
 impl Worker {
     /// Starts a thread in the present runtime.
-    pub fn start(work: VirtualWork) -> (Self, StoppingSource) {
+    pub fn start(work: VirtualWork) -> (Self, ToWorker, StoppingSource) {
+        let (to_worker, waiting) = unbounded_channel();
         let (stops_of_thread, stops) = channel();
         let (outcomes, outcomes_of_thread) = channel();
         let (turns, turns_of_thread) = channel::<Turns>();
@@ -145,25 +146,17 @@ impl Worker {
         });
         let source =
             StoppingSource { stops: Mutex::new(stops_of_thread), outcomes: Mutex::new(outcomes_of_thread) };
-        let ends = Some(Ends { turns, outcomes, stops });
-        (Self { ends, thread: Some(thread), work }, source)
+        let _thread = JoinOnDrop(Some(thread));
+        (Self { waiting, turns, outcomes, stops, work, _thread }, ToWorker(to_worker), source)
     }
 
     /// Runs what waits, each chunk in the virtual time and with the outcome that `pace` returns;
     /// never further where it returns none.
-    pub async fn run(self, waiting: Arc<Waiting>, mut pace: impl FnMut() -> Pace) {
-        let Some(Ends { turns, outcomes, stops }) = &self.ends else { return };
-        // The thread ends only after the channels.
-        let next_stop = || stops.recv().expect("the thread stops");
-        loop {
-            let next = lock(&waiting.turns).pop_front();
-            let Some(mut next) = next else {
-                waiting.added.notified().await;
-                continue;
-            };
+    pub async fn run(mut self, mut pace: impl FnMut() -> Pace) {
+        while let Some(mut next) = self.waiting.recv().await {
             loop {
-                turns.send(next).expect("the thread waits");
-                let mut stop = next_stop();
+                self.turns.send(next).expect("the thread waits");
+                let mut stop = self.next_stop();
                 let goes_on = loop {
                     match stop {
                         Stop::AfterTurn { turns, goes_on } => {
@@ -174,8 +167,8 @@ impl Worker {
                             let Some((takes, outcome)) = pace() else { return pending().await };
                             tokio::time::sleep(takes).await;
                             self.work.pass(takes.as_micros() as u64);
-                            outcomes.send(outcome).expect("the thread waits");
-                            stop = next_stop();
+                            self.outcomes.send(outcome).expect("the thread waits");
+                            stop = self.next_stop();
                         }
                     }
                 };
@@ -186,15 +179,9 @@ impl Worker {
             }
         }
     }
-}
 
-impl Drop for Worker {
-    fn drop(&mut self) {
-        self.ends = None;
-        if let Some(thread) = self.thread.take() {
-            // It catches panics.
-            let _ = thread.join();
-        }
+    fn next_stop(&self) -> Stop {
+        self.stops.recv().expect("the thread stops")
     }
 }
 
