@@ -17,6 +17,8 @@ pub enum Mechanism {
     RefusalBackoff,
     /// View selection in turns
     ViewTurns,
+    /// Yields of a thread that selects views
+    ViewYields,
     /// Fast effort at level 0 under backlog
     FastEffort,
 }
@@ -31,6 +33,7 @@ impl Mechanism {
             Self::Deadline => "deadline",
             Self::RefusalBackoff => "refusal-backoff",
             Self::ViewTurns => "view-turns",
+            Self::ViewYields => "view-yields",
             Self::FastEffort => "fast-effort",
         }
     }
@@ -55,6 +58,7 @@ impl Mechanism {
             Self::Turns => &["--measure-without", "turns"],
             Self::RefusalBackoff => &["--measure-without", "refusal-backoff"],
             Self::ViewTurns => &["--measure-without", "view-turns"],
+            Self::ViewYields => &["--measure-without", "view-yields"],
             Self::FastEffort => &["--measure-without", "fast-effort"],
         }
     }

@@ -7,7 +7,7 @@
 use crate::Plan;
 use crate::clients::{Window, closed_loop, rotated, run_all, waits};
 use crate::connection::Connection;
-use crate::flood::slowest_probe_ms;
+use crate::flood;
 use crate::keys::{WORLD_SEED, land_keys};
 use crate::mechanism::Mechanism;
 use crate::overload::{self, LoadFigures, capacity, send_at_rates};
@@ -81,6 +81,7 @@ const fn figure(mechanism: Option<Mechanism>) -> Figure {
         Some(Mechanism::Deadline) => ("p99 of chunks at twice the capacity", "ms", false, 1.5),
         Some(Mechanism::RefusalBackoff) => (REPEATED, "", true, 1.2),
         Some(Mechanism::ViewTurns) => ("slowest liveness probe in a flood of views", "ms", false, 1.5),
+        Some(Mechanism::ViewYields) => ("p90 of a polite client in a flood of views", "ms", false, 1.5),
         Some(Mechanism::FastEffort) => (PER_CPU_S, "", true, 1.05),
         None => (PER_CPU_S, "", true, 1.03),
     };
@@ -142,7 +143,8 @@ async fn measure(
         Some(Mechanism::RateLimit) => return cpu_share(&server, cheap, length).await.map(Some),
         Some(Mechanism::Turns) => return polite_p99_ms(&server, keys, length).await,
         Some(Mechanism::Deadline) => return overloaded_p99_ms(&server, cheap, length).await,
-        Some(Mechanism::ViewTurns) => return slowest_probe_ms(&server, FLOODING, length).await,
+        Some(Mechanism::ViewTurns) => return flood::slowest_probe_ms(&server, FLOODING, length).await,
+        Some(Mechanism::ViewYields) => return flood::polite_p90_ms(&server, FLOODING, cheap, length).await,
         Some(Mechanism::RefusalBackoff) => REPEATED_WINDOW,
         Some(Mechanism::FastEffort) | None => overload::WINDOW,
     };

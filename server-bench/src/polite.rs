@@ -28,7 +28,16 @@ pub struct Polite {
 impl Polite {
     /// The 99th percentile of all requests, milliseconds; not a number without requests.
     pub fn p99_ms(&self) -> f64 {
-        quantile_ms(self.latencies.clone(), 0.99).unwrap_or(f64::NAN)
+        self.quantile_ms(0.99)
+    }
+
+    /// The 90th, which a few interruptions of the machine do not change.
+    pub fn p90_ms(&self) -> f64 {
+        self.quantile_ms(0.9)
+    }
+
+    fn quantile_ms(&self, quantile: f64) -> f64 {
+        quantile_ms(self.latencies.clone(), quantile).unwrap_or(f64::NAN)
     }
 }
 

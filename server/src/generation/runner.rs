@@ -10,7 +10,7 @@ use super::cost::MAX_OUTLIER;
 use super::queue::{Charge, FlowId, FlowPath, FrameRequest, MissingFrame, Payment, Queue};
 use super::result::{Completion, FrameResult, GenerationError};
 use super::shared::Shared;
-use super::threads::Executor;
+use super::threads::{Executor, yield_after_views};
 use super::views::ViewJob;
 use super::work_time::WorkTime;
 use crate::cache::memory::CachedFrame;
@@ -192,6 +192,9 @@ impl Shared {
             let _ = completion.send(selection);
         } else {
             self.lock().end_turn(path, spent_us, Some(job));
+        }
+        if self.limits.without != Some(Mechanism::ViewYields) {
+            yield_after_views(spent);
         }
     }
 

@@ -11,11 +11,41 @@ pub use std::sync::{Mutex, MutexGuard};
 use rayon::ThreadPoolBuildError;
 #[cfg(not(shuttle))]
 use rayon::{ThreadPool, ThreadPoolBuilder};
+use std::cell::Cell;
+use std::time::Duration;
 
 /// Nice value of the generation threads: half the weight of a thread of connections, and of other
 /// programs, where all want the processor.
 #[cfg(all(target_os = "linux", not(shuttle)))]
 const NICE: i32 = 3;
+
+/// Time that a generation thread works on views between two yields. A thread of connections that
+/// wakes waits for this and a turn at most; without a yield it may wait for the next tick of the
+/// system's scheduler, 4 ms where there are 250 a second. Not less: each yield leaves the processor
+/// to a busy program for a time slice of some milliseconds, and the first view of a place, which
+/// takes tenths of a second, has many.
+const YIELD_INTERVAL: Duration = Duration::from_micros(500);
+
+thread_local! {
+    /// The time of this thread on views since its last yield.
+    static VIEW_TIME: Cell<Duration> = const { Cell::new(Duration::ZERO) };
+}
+
+/// Counts time of this thread on views, and yields after [`YIELD_INTERVAL`] of it. Threads that
+/// generate chunks only do not yield: connections then handle several turns at once.
+pub fn yield_after_views(spent: Duration) {
+    if is_yield_due(spent) {
+        std::thread::yield_now();
+    }
+}
+
+/// Counts time of this thread on views. Whether a yield is due; the count begins again then.
+fn is_yield_due(spent: Duration) -> bool {
+    let time = VIEW_TIME.get() + spent;
+    let is_due = time >= YIELD_INTERVAL;
+    VIEW_TIME.set(if is_due { Duration::ZERO } else { time });
+    is_due
+}
 
 /// The turns of a runner: each call runs one, until one returns false.
 pub type Turns = Box<dyn FnMut() -> bool + Send>;
@@ -109,6 +139,14 @@ mod tests {
     use super::*;
     use std::sync::atomic::{AtomicBool, Ordering};
     use std::sync::mpsc;
+
+    #[test]
+    fn a_yield_is_due_after_each_interval_of_views() {
+        let part = YIELD_INTERVAL.div_f64(2.5);
+        let due = [part; 7].map(is_yield_due);
+        assert_eq!(due, [false, false, true, false, false, true, false]);
+        assert!(is_yield_due(YIELD_INTERVAL) && !is_yield_due(Duration::ZERO));
+    }
 
     #[test]
     fn a_broadcast_reaches_a_thread_whose_turns_go_on() {
