@@ -147,7 +147,8 @@ pub async fn run(plan: &Plan) -> Result<Value> {
     let busy_ratio = ratio(busy_ms.iter().copied().reduce(f64::max), alone_ms);
     let busy = json!({ "polite_p99_ms": busy_ms, "polite_p99_ratio": busy_ratio });
     Ok(json!({
-        "scenarios": scenarios, "polite_p90_alone_ms": alone_p90_ms, "polite_p99_alone_ms": alone_ms, "busy": busy
+        "scenarios": scenarios,
+        "polite_p90_alone_ms": alone_p90_ms, "polite_p99_alone_ms": alone_ms, "busy": busy
     }))
 }
 
@@ -386,7 +387,8 @@ mod tests {
     #[test]
     fn each_bar_can_be_missed_by_one_scenario() {
         let scenario = json!({
-            "probe_worst_ms": 40.0, "polite_chunks_share": 0.97, "polite_p90_ratio": 1.2, "polite_p99_ratio": 1.5, "stop_s": 0.4,
+            "probe_worst_ms": 40.0, "polite_chunks_share": 0.97, "stop_s": 0.4,
+            "polite_p90_ratio": 1.2, "polite_p99_ratio": 1.5,
             "views_per_s_of_session": 60.0, "sessions_ended": 0.0,
         });
         let good = json!({ "scenarios": vec![scenario; SCENARIOS], "busy": { "polite_p99_ratio": 5.0 } });
@@ -408,7 +410,8 @@ mod tests {
     #[test]
     fn without_a_flood_in_one_scenario_there_are_no_figures() {
         let scenario = json!({
-            "probe_worst_ms": 40.0, "polite_chunks_share": 0.97, "polite_p90_ratio": 1.2, "polite_p99_ratio": 1.5, "stop_s": 0.4,
+            "probe_worst_ms": 40.0, "polite_chunks_share": 0.97, "stop_s": 0.4,
+            "polite_p90_ratio": 1.2, "polite_p99_ratio": 1.5,
             "views_per_s_of_session": 60.0, "sessions_ended": 0.0,
         });
         let good = json!({ "scenarios": vec![scenario; SCENARIOS], "busy": { "polite_p99_ratio": 5.0 } });

@@ -14,8 +14,8 @@ pub enum Mechanism {
     /// View selection in turns on the generation threads. Without it, the thread of the connection
     /// selects a whole view at once.
     ViewTurns,
-    /// Yields of a generation thread that selects views. Without them, a thread of connections waits
-    /// for the system's scheduler where both share a core.
+    /// Yields of a generation thread that selects views. Without them, a thread of connections on
+    /// the same core waits for the system's scheduler.
     ViewYields,
     /// The fast effort at level 0 under backlog. Without it, all chunks are encoded compactly.
     FastEffort,

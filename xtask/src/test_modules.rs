@@ -9,11 +9,15 @@ pub fn without_tests(text: &str) -> impl Iterator<Item = (usize, &str)> {
     text.lines().enumerate().take(end.unwrap_or(usize::MAX))
 }
 
-/// Whether two versions of a file have the same code, apart from tests and lines of comments.
+/// Whether two versions of a file have the same code, apart from tests, lines of comments, and line
+/// breaks in place of spaces.
 pub fn have_equal_code(one: &str, other: &str) -> bool {
-    let is_code = |line: &&str| !line.trim().is_empty() && !line.trim_start().starts_with("//");
-    let lines = |text| without_tests(text).map(|(_, line)| line).filter(is_code);
-    lines(one).eq(lines(other))
+    let is_code = |line: &&str| !line.trim_start().starts_with("//");
+    let words = |text| {
+        let lines = without_tests(text).map(|(_, line)| line);
+        lines.filter(is_code).flat_map(str::split_whitespace)
+    };
+    words(one).eq(words(other))
 }
 
 #[cfg(test)]
@@ -27,6 +31,7 @@ mod tests {
         assert!(have_equal_code(&one, &file("fn a() {}", "    fn c() {}")));
         assert!(have_equal_code(&one, &file("/// Does nothing.\nfn a() {}", "    fn b() {}")));
         assert!(have_equal_code(&one, "fn a() {}\n"), "the first test of a file");
+        assert!(have_equal_code(&one, &file("fn a()\n    {}", "    fn b() {}")), "a line break");
         assert!(!have_equal_code(&one, &file("fn c() {}", "    fn b() {}")));
         assert!(!have_equal_code("fn a() {}\n", "fn a() {}\nfn b() {}\n"));
     }
