@@ -31,7 +31,7 @@ impl Polite {
         self.quantile_ms(0.99)
     }
 
-    /// The 90th, which a few interruptions of the machine do not change.
+    /// The 90th, which a few stalls do not change.
     pub fn p90_ms(&self) -> f64 {
         self.quantile_ms(0.9)
     }

@@ -20,10 +20,10 @@ use std::time::Duration;
 const NICE: i32 = 3;
 
 /// Time that a generation thread works on views between two yields. A thread of connections that
-/// wakes waits for this and a turn at most; without a yield it may wait for the next tick of the
-/// system's scheduler, 4 ms where there are 250 a second. Not less: each yield leaves the processor
-/// to a busy program for a time slice of some milliseconds, and the first view of a place, which
-/// takes tenths of a second, has many.
+/// wakes meanwhile waits for little more than this; without a yield it may wait for the next tick
+/// of the system's scheduler, 4 ms where there are 250 a second. Not less: each yield leaves the
+/// processor to a busy program for a time slice of some milliseconds, and the first view of a
+/// place, which takes tenths of a second, has many.
 const YIELD_INTERVAL: Duration = Duration::from_micros(500);
 
 thread_local! {
